@@ -1,0 +1,1 @@
+"""What the author of a plugin or of a driver writes against."""
