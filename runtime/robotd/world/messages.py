@@ -47,7 +47,7 @@ class Event(Message):
 # --------------------------------------------------------------------------------------------- sensors
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class LidarScan(Message):
     """One revolution (or one sweep) of a planar lidar.
 
@@ -81,7 +81,7 @@ class LidarScan(Message):
             object.__setattr__(self, "angles_rad", read_only(angles))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class CameraFrame(Message):
     """One picture. `bgr`: uint8 (height, width, 3), read-only, passed by reference; perceptors only.
 

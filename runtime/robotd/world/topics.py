@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from functools import cache
-from typing import Any, Generic
+from typing import Generic
 
 from typing_extensions import TypeVar
 
@@ -35,7 +34,6 @@ class Topic(Generic[MessageT_co]):
         return self.name
 
 
-@cache
-def default_topic(message_type: Any) -> Topic[Message]:
+def default_topic(message_type: type[Message]) -> Topic[Message]:
     """The topic that a message type names by itself: `LidarScan` flows on `lidar_scan`."""
     return Topic(_WORD.sub("_", message_type.__name__).lower(), message_type)
