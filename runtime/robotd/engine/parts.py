@@ -37,7 +37,10 @@ class PerceptorPart:
 
 @dataclass(frozen=True, slots=True)
 class BehaviourPart:
-    """One entry of `behaviours:`. `start`: begin with `goal` as soon as the robot is armed."""
+    """One entry of `behaviours:`.
+
+    `start`: begin with `goal` as soon as the robot is armed. `timeout_s`: the goal fails after that long.
+    """
 
     name: str
     cls: type[Behaviour[Any, Any, Any]]
@@ -45,6 +48,7 @@ class BehaviourPart:
     priority: int
     start: bool = False
     goal: Goal | None = None
+    timeout_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

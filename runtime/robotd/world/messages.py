@@ -231,6 +231,15 @@ class ModeChange(Message):
 
 
 @dataclass(frozen=True, slots=True)
+class ActiveGoal(Message):
+    """The goal that a behaviour works on now, a topic that holds until replaced; empty `behaviour`: none."""
+
+    behaviour: str = ""
+    goal: object = None
+    is_state: ClassVar[bool] = True
+
+
+@dataclass(frozen=True, slots=True)
 class Applied(Message):
     """The command last written to the base, who proposed it and what limited it."""
 
