@@ -1,0 +1,108 @@
+"""Motors and wheels as they are: they lag, differ, slip, and tell the odometry something slightly wrong."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from pydantic import Field
+
+from robotd.authoring.config import Config
+from robotd.world.clock import NS_PER_S
+from robotd.world.kinematics import Ackermann, Differential, Kinematics, Mecanum, advance
+from robotd.world.messages import STOP, Drive, Float64s
+
+_STILL = 1e-6
+_DRAWS = 512
+
+
+class WheelSettings(Config):
+    """Imperfections of a simulated base. 0 everywhere is a perfect one."""
+
+    lag_s: float = Field(default=0.08, ge=0.0, le=2.0)
+    """Time constant of the first-order lag from a command to the wheels' speed."""
+    motor_error: float = Field(default=0.03, ge=0.0, le=0.3)
+    """Each motor turns faster or slower than told by a fixed share up to this; encoders see it, commands do not."""
+    wheel_error: float = Field(default=0.02, ge=0.0, le=0.3)
+    """Each wheel is larger or smaller than the kinematics say by a fixed share up to this; nothing on board sees it."""
+    track_error: float = Field(default=0.02, ge=0.0, le=0.3)
+    """The true arm about which the base turns differs from the kinematics by a fixed share up to this."""
+    slip_std: float = Field(default=0.02, ge=0.0, le=0.5)
+    """Standard deviation of each wheel's slip as a share of its speed; it drifts over `slip_time_s`."""
+    slip_time_s: float = Field(default=0.3, gt=0.0, le=10.0)
+    """Correlation time of the slip (a first-order Gauss-Markov process)."""
+
+
+class Wheels:
+    """The wheels of one base on the grid of physics.
+
+    Three velocities follow from one command: what the motors do (`lag_s`, `motor_error`), what the encoders report
+    of it (exactly that, through the nominal kinematics), and what the floor makes of it (`wheel_error`,
+    `track_error`, slip). Raises ValueError for a car: its steering is not modelled yet.
+    """
+
+    def __init__(self, kinematics: Kinematics, settings: WheelSettings, rng: np.random.Generator, step_ns: int) -> None:
+        if isinstance(kinematics, Ackermann):
+            raise ValueError("an ackermann base is not simulated yet: use differential or mecanum")
+        self._kinematics: Differential | Mecanum = kinematics
+        count = 2 if isinstance(kinematics, Differential) else 4
+        self._step_s = step_ns / NS_PER_S
+        self._motor_scale = tuple(
+            1.0 + float(e) for e in rng.uniform(-settings.motor_error, settings.motor_error, count)
+        )
+        self._floor_scale = tuple(
+            1.0 + float(e) for e in rng.uniform(-settings.wheel_error, settings.wheel_error, count)
+        )
+        self._track_scale = 1.0 + float(rng.uniform(-settings.track_error, settings.track_error))
+        self._keep = math.exp(-self._step_s / settings.lag_s) if settings.lag_s > 0.0 else 0.0
+        self._slip_keep = math.exp(-self._step_s / settings.slip_time_s)
+        self._slip_gain = settings.slip_std * math.sqrt(1.0 - self._slip_keep**2)
+        self._rng = rng
+        self._draws: Float64s = np.empty((0, count))
+        self._drawn = 0
+        self._slips = [settings.slip_std * float(d) for d in rng.standard_normal(count)]
+        self._wanted: tuple[float, ...] = (0.0,) * count
+        self._speeds: tuple[float, ...] = (0.0,) * count
+        self.odometry: tuple[float, float, float] = (0.0, 0.0, 0.0)
+        """Base in the odometry frame as the encoders tell: x, y, yaw."""
+        self.measured: Drive = STOP
+        """Body velocity as the encoders tell."""
+
+    def command(self, drive: Drive) -> None:
+        """What the motors are told from the next step on. A differential base has no use for `vy_mps`."""
+        wheels = self._kinematics
+        raw = wheels.rim_speeds(drive) if isinstance(wheels, Differential) else wheels.wheel_speeds(drive)
+        self._wanted = tuple(speed * scale for speed, scale in zip(raw, self._motor_scale, strict=True))
+
+    def step(self) -> Drive:
+        """One grid step; the body's true velocity during it."""
+        keep = self._keep
+        speeds = tuple(want + keep * (speed - want) for want, speed in zip(self._wanted, self._speeds, strict=True))
+        if all(-_STILL < speed < _STILL for speed in speeds) and not any(self._wanted):
+            self._speeds = (0.0,) * len(speeds)
+            self.measured = STOP
+            return STOP
+        self._speeds = speeds
+        self.measured = self._body(speeds)
+        self.odometry = advance(*self.odometry, self.measured, self._step_s)
+        self._drift_slips()
+        real = self._body(
+            tuple(
+                s * scale * (1.0 - slip) for s, scale, slip in zip(speeds, self._floor_scale, self._slips, strict=True)
+            )
+        )
+        return Drive(real.vx_mps, real.wz_radps / self._track_scale, real.vy_mps)
+
+    def _body(self, speeds: tuple[float, ...]) -> Drive:
+        return self._kinematics.body(*speeds)
+
+    def _drift_slips(self) -> None:
+        if self._slip_gain == 0.0:
+            return
+        if self._drawn == len(self._draws):
+            self._draws = self._rng.standard_normal((_DRAWS, len(self._slips)))
+            self._drawn = 0
+        draw = self._draws[self._drawn].tolist()
+        self._drawn += 1
+        keep, gain = self._slip_keep, self._slip_gain
+        self._slips = [keep * slip + gain * number for slip, number in zip(self._slips, draw, strict=True)]
