@@ -39,7 +39,7 @@ class SimCameraConfig(Config):
     """Size of the drawn floor's smallest part."""
     tape_grey: float = Field(default=82.0, ge=0.0, le=255.0)
     """Grey level of tape in full light."""
-    floor_grey: float = Field(default=196.0, ge=0.0, le=255.0)
+    floor_grey: float = Field(default=200.0, ge=0.0, le=255.0)
     """Grey level of floor in full light."""
     grain_std: float = Field(default=6.0, ge=0.0, le=60.0)
     """The weave of floor and tape, standard deviation in grey levels."""
@@ -47,7 +47,7 @@ class SimCameraConfig(Config):
     """Slow unevenness of the floor, standard deviation in grey levels."""
     gloss: float = Field(default=40.0, ge=0.0, le=200.0)
     """Strongest streak of a lamp mirrored in the floor, in grey levels; 0 is a dull floor."""
-    vignette: float = Field(default=0.22, ge=0.0, le=0.9)
+    vignette: float = Field(default=0.32, ge=0.0, le=0.9)
     """Share of light lost in the corners."""
     brightness: float = Field(default=1.0, gt=0.0, le=4.0)
     """Factor on all light."""

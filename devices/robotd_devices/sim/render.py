@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robotd.world.messages import Bytes2D, Float64s
 from robotd_devices.sim.floor import LEVELS, FloorLook, draw_floor
@@ -23,9 +22,9 @@ _COARSE = 4
 _NOISE_SPARE_PX = 61
 _NOISE_ZERO = 128
 
-_TINT_TAPE = (0.87, 0.92, 1.0)
-_TINT_FLOOR = (0.957, 0.922, 1.0)
-"""Blue, green and red as shares of the brightest channel; both measured on real pictures of this floor."""
+_TINT_TAPE = (0.87, 0.92)
+_TINT_FLOOR = (0.957, 0.922)
+"""Blue and green as shares of red, the brightest channel; both measured on real pictures of this floor."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +63,7 @@ class Renderer:
         self._prepare_room(camera)
         self._light = self._lit()
         self._noise = self._make_noise()
-        self._tint = _tint(look.tape, look.floor)
+        self._tints = _tints(look.tape, look.floor)
 
     def picture(self, pose: tuple[float, float, float]) -> Bytes2D:
         """uint8 (height, width, 3), a new array, blue green red."""
@@ -78,7 +77,8 @@ class Renderer:
         grey = cv2.multiply(grey, self._light, scale=self._look.brightness / 255.0)
         if self._look.noise_std > 0.0:
             grey = cv2.addWeighted(grey, 1.0, self._some_noise(), 1.0, -_NOISE_ZERO)
-        return np.asarray(cv2.LUT(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), self._tint), dtype=np.uint8)
+        blue, green = (cv2.LUT(grey, tint) for tint in self._tints)
+        return np.asarray(cv2.merge([blue, green, grey]), dtype=np.uint8)
 
     # ------------------------------------------------------------------------------------------ floor
 
@@ -91,21 +91,19 @@ class Renderer:
         level = np.clip(np.round(np.log2(_covered_m(floor_m) / atlas.texel_m)), 0, LEVELS - 1)
         level = np.where(np.isfinite(level), level, LEVELS - 1).astype(np.intp)
         share = np.where(shown, 0.5**level, 0.0)
-        table = np.empty((height, width, 4), dtype=np.float32)
-        table[..., 0] = np.where(shown, floor_m[..., 0], 0.0) * share
-        table[..., 1] = np.where(shown, floor_m[..., 1], 0.0) * share
-        table[..., 2] = share
-        table[..., 3] = np.where(shown, atlas.left_px[level], atlas.nothing_px + 0.5)
+        left = np.where(shown, atlas.left_px[level], atlas.nothing_px + 0.5)
+        forward, sideways = (np.where(shown, floor_m[..., axis], 0.0) * share for axis in (0, 1))
         rows = np.flatnonzero(shown.any(axis=1))
         self._top = int(rows[0]) if len(rows) else height
         # beyond the drawn floor the bare edge of the same copy goes on
         low = np.where(shown, atlas.left_px[level] - 2.0, 0.0)
         high = np.where(shown, atlas.left_px[level] + atlas.width_px[level] + 1.0, atlas.grey.shape[1])
+        tables = (forward, sideways, share, left, low, high)
+        self._forward, self._sideways, self._share, self._left, self._low, self._high = (
+            np.ascontiguousarray(table[self._top :], dtype=np.float32) for table in tables
+        )
         # one blurred picture serves room and gloss: at the horizon the room must not brighten the floor
         self._room_cap = np.where(shown, round(self._look.gloss), 255).astype(np.uint8)
-        self._table = np.ascontiguousarray(table[self._top :])
-        self._low = low[self._top :].astype(np.float32)
-        self._high = high[self._top :].astype(np.float32)
 
     def _floor_seen(self, x_m: float, y_m: float, yaw_rad: float) -> Bytes2D:
         import cv2
@@ -114,15 +112,11 @@ class Renderer:
         per_m = 1.0 / atlas.texel_m
         cos, sin = math.cos(yaw_rad) * per_m, math.sin(yaw_rad) * per_m
         # a texel's centre has whole coordinates in a lookup, its edge is half a texel before
-        to_atlas = np.array(
-            [
-                [cos, -sin, (x_m - atlas.x0_m) * per_m, 1.0, -0.5],
-                [sin, cos, (y_m - atlas.y0_m) * per_m, 0.0, atlas.top_px - 0.5],
-            ]
-        )
-        place = cv2.transform(self._table, to_atlas)
-        columns, rows = cv2.split(place)
+        columns = cv2.addWeighted(self._forward, cos, self._sideways, -sin, -0.5)
+        columns = cv2.add(cv2.scaleAdd(self._share, (x_m - atlas.x0_m) * per_m, columns), self._left)
         columns = cv2.min(cv2.max(columns, self._low), self._high)
+        rows = cv2.addWeighted(self._forward, sin, self._sideways, cos, atlas.top_px - 0.5)
+        rows = cv2.scaleAdd(self._share, (y_m - atlas.y0_m) * per_m, rows)
         seen = cv2.remap(atlas.grey, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return np.asarray(seen, dtype=np.uint8)
 
@@ -183,12 +177,16 @@ def _covered_m(floor_m: Float64s) -> Float64s:
         down, right = np.gradient(floor_m, axis=0), np.gradient(floor_m, axis=1)
     area = np.abs(down[..., 0] * right[..., 1] - down[..., 1] * right[..., 0])
     length = np.maximum(np.hypot(down[..., 0], down[..., 1]), np.hypot(right[..., 0], right[..., 1]))
-    return np.maximum(area**0.4 * length**0.2, 1e-9)
+    size: Float64s = np.maximum(area**0.4 * length**0.2, 1e-9)
+    return size
 
 
-def _tint(tape: float, floor: float) -> NDArray[np.uint8]:
-    """Grey level to blue, green and red, (1, 256, 3)."""
+def _tints(tape: float, floor: float) -> tuple[Bytes2D, Bytes2D]:
+    """Blue and green, each (1, 256), of a grey level, which is also the red."""
     grey = np.arange(256.0)
-    mix = np.clip((grey - tape) / max(floor - tape, 1.0), 0.0, 1.0)[:, None]
-    shares = (1.0 - mix) * np.array(_TINT_TAPE) + mix * np.array(_TINT_FLOOR)
-    return np.asarray(np.round(grey[:, None] * shares), dtype=np.uint8).reshape(1, 256, 3)
+    mix = np.clip((grey - tape) / max(floor - tape, 1.0), 0.0, 1.0)
+    blue, green = ((1.0 - mix) * low + mix * high for low, high in zip(_TINT_TAPE, _TINT_FLOOR, strict=True))
+    return (
+        np.asarray(np.round(grey * blue), dtype=np.uint8).reshape(1, 256),
+        np.asarray(np.round(grey * green), dtype=np.uint8).reshape(1, 256),
+    )
