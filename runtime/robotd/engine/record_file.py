@@ -68,10 +68,17 @@ def cpu_class() -> str:
     return " ".join(filter(None, (platform.machine(), model, *wide, disabled and f"without {disabled}")))
 
 
+def _version() -> str:
+    try:
+        return importlib.metadata.version("robotd")
+    except importlib.metadata.PackageNotFoundError:
+        return "not installed"
+
+
 def platform_header() -> dict[str, str]:
     """The part of a header that says on what it was made: robotd, python, numpy, cpu."""
     return {
-        "robotd": importlib.metadata.version("robotd"),
+        "robotd": _version(),
         "python": platform.python_version(),
         "numpy": np.__version__,
         "cpu": cpu_class(),
@@ -195,7 +202,7 @@ class RecordWriter:
             self._thread.start()
 
     def _begin(self, header: Mapping[str, Any]) -> None:
-        self._writer.start(profile="robotd", library=f"robotd {importlib.metadata.version('robotd')}")
+        self._writer.start(profile="robotd", library=f"robotd {_version()}")
         told: dict[str, Any] = {**platform_header(), **header}
         if not self.synchronous:
             told.setdefault("started", time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()))
