@@ -195,7 +195,7 @@ def flat_world(context: DeviceContext) -> FlatWorld:
     found = "no simulated world" if world is None else f"a world of class {type(world).__name__}"
     raise DeviceMisconfigured(
         f"{context.name}: this simulated device needs the world `flat_world`, but found {found}; "
-        "start with --sim and write `simulation: {world: flat_world}`"
+        "start with --sim and a config whose `simulation:` names the world flat_world"
     )
 
 
