@@ -5,10 +5,13 @@ from __future__ import annotations
 import itertools
 import math
 import time
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from pydantic import BaseModel, Field, field_validator
 
 from robotd import (
@@ -42,7 +45,18 @@ from robotd.testing import (
     example_message,
     example_view,
 )
-from robotd.world.messages import ActiveGoal, Applied, Battery, Contact, EStopped, Imu, ModeChange, Outcome, Pose2D
+from robotd.world.messages import (
+    ActiveGoal,
+    Applied,
+    Battery,
+    Contact,
+    EStopped,
+    Imu,
+    Mode,
+    ModeChange,
+    Outcome,
+    Pose2D,
+)
 
 
 class SeesAll(View):
@@ -355,6 +369,31 @@ def test_every_message_has_an_example(message_type: type[Message]) -> None:
     message = example_message(message_type, 7)
     assert type(message) is message_type
     assert message.stamp_ns == 7
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Grid(Message):
+    cells: NDArray[np.uint8]
+    heights_m: NDArray[np.float32]
+    mean_m: float
+    origin: Drive
+    mode: Mode
+    label: str | None
+    parts: tuple[Drive, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Odd(Message):
+    handler: Callable[[], None]
+
+
+def test_a_message_of_ones_own_has_an_example_too() -> None:
+    grid = example_message(Grid, 7)
+    assert (grid.cells.dtype, grid.heights_m.dtype) == (np.uint8, np.float32)
+    assert (grid.mean_m, grid.origin, grid.label, grid.parts) == (0.0, Drive(), None, ())
+    assert grid.mode is Mode.ESTOP
+    with pytest.raises(CheckFailed, match="no example can be guessed for its field handler"):
+        example_message(Odd)
 
 
 def test_a_view_of_examples_leaves_optional_ones_out_on_demand() -> None:

@@ -375,7 +375,8 @@ def _schema_of(hint: Any) -> Iterator[tuple[str, Any]]:
         yield "type", kinds[hint]
     elif isinstance(hint, type) and issubclass(hint, enum.Enum):
         yield "type", "string"
-    elif "ndarray" in str(hint):
+    elif "ndarray" in str(hint).lower():
+        # an alias from numpy 2.5 on, `numpy.ndarray[...]` before
         yield from (("type", "array"), ("items", {"type": "number"}))
     elif isinstance(hint, type) and dataclasses.is_dataclass(hint):
         yield from viewer_schema(hint).items()

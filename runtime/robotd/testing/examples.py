@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import enum
+import re
 import types
 import typing
 from typing import Any
@@ -49,12 +50,14 @@ def _plain(cls: type[Any], name: str, hint: Any) -> Any:
     if origin in (typing.Union, types.UnionType):
         options = typing.get_args(hint)
         return None if type(None) in options else _plain(cls, name, options[0])
+    if "ndarray" in str(hint).lower():
+        # an alias from numpy 2.5 on, `numpy.ndarray[...]` before; either way the scalar type stands last in it
+        named = [getattr(np, word, None) for word in re.findall(r"numpy\.(\w+)", str(hint))]
+        scalars = [kind for kind in named if isinstance(kind, type) and issubclass(kind, np.generic)]
+        return np.zeros(4, scalars[-1] if scalars else np.float64)
     if isinstance(origin, type):
         if issubclass(origin, enum.Enum):
             return next(iter(origin))
-        if issubclass(origin, np.ndarray):
-            scalar = typing.get_args(typing.get_args(hint)[1])[0] if len(typing.get_args(hint)) == 2 else np.float64
-            return np.zeros(4, scalar if isinstance(scalar, type) else np.float64)
         if dataclasses.is_dataclass(origin):
             return origin(**_required(origin))
         if origin in (int, float, str, bool, bytes, tuple, object):
