@@ -1,9 +1,13 @@
-"""robotd turns a small robot's sensors into safe motion. This module is the whole API for authors of plugins."""
+"""robotd turns a small robot's sensors into safe motion. This module is the whole API for authors of plugins.
+
+What fewer authors need is one level down: more messages in `robotd.world.messages`, drawings in
+`robotd.authoring.explain`, simulated worlds and kinds of device errors in `robotd.authoring.device`.
+"""
 
 from robotd.authoring.behaviour import Behaviour, Done, Failed, Plan, Sequence
-from robotd.authoring.bridge import Bridge
-from robotd.authoring.config import Config, Goal, NoConfig, NoGoal
-from robotd.authoring.device import Actuator, DeviceError, Sensor, Watchdog, World
+from robotd.authoring.bridge import Bridge, RuntimeLink
+from robotd.authoring.config import Config, Goal, NoConfig
+from robotd.authoring.device import Actuator, DeviceContext, Sensor, Watchdog
 from robotd.authoring.perceptor import Perceptor
 from robotd.authoring.view import View, every, latest, needed
 from robotd.world.messages import (
@@ -28,7 +32,7 @@ __all__ = [
     "CameraFrame",
     "Config",
     "Detections",
-    "DeviceError",
+    "DeviceContext",
     "Done",
     "Drive",
     "Failed",
@@ -37,10 +41,10 @@ __all__ = [
     "LidarScan",
     "Message",
     "NoConfig",
-    "NoGoal",
     "Odometry",
     "Perceptor",
     "Plan",
+    "RuntimeLink",
     "Sensor",
     "Sequence",
     "Steer",
@@ -48,8 +52,7 @@ __all__ = [
     "Topic",
     "View",
     "Watchdog",
-    "World",
     "every",
     "latest",
+    "needed",
 ]
-__all__ += ["needed"]

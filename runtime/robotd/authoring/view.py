@@ -85,7 +85,11 @@ def latest(topic: Topic[Any] | None = None, /, *, within_s: float | None = None)
 
 
 @dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(every, needed, latest))
-class View:
+class _Fields:
+    """Tells type checkers what the classes below it are; they would not count the fields of this class itself."""
+
+
+class View(_Fields):
     """Root of all views. `now_ns`: the instant of the step, the same for all that runs in one turn."""
 
     now_ns: int = 0
