@@ -144,6 +144,19 @@ def write_all(descriptor: int) -> Callable[[bytes], None]:
     return write
 
 
+def _put(stream: TextIO, text: str) -> None:
+    stream.write(text)
+    stream.flush()
+
+
+def write_to(stream: TextIO) -> Callable[[bytes], None]:
+    """`write_all` to the stream's descriptor, or through the stream itself where it has none."""
+    try:
+        return write_all(stream.fileno())
+    except (OSError, ValueError):
+        return lambda data: _put(stream, data.decode())
+
+
 def _size_of(descriptor: int) -> Size:
     def size() -> tuple[int, int]:
         try:
@@ -190,7 +203,7 @@ class Console:
             self._log = self._writers[0]
         else:
             err.flush()
-            self._log = LineWriter(write_all(err.fileno()))
+            self._log = LineWriter(write_to(err))
             self._writers.append(self._log)
 
     def update(self, status: Status) -> None:
