@@ -192,7 +192,7 @@ def _run(args: Args) -> int:
 def _check(args: Args) -> int:
     from robotd.setup.load import load_config
 
-    loaded = load_config(args.file, sim=args.sim, sets=args.sets, env=os.environ)
+    loaded = load_config(args.file, sim=args.sim, sets=args.sets, env=os.environ, whole=True)
     parts = loaded.parts
     named = (
         ("device", len(parts.devices)),
@@ -201,7 +201,7 @@ def _check(args: Args) -> int:
         ("bridge", len(parts.bridges)),
     )
     counts = ", ".join(f"{count} {name}{'' if count == 1 else 's'}" for name, count in named if count)
-    return _print([f"{loaded.file}: good ({counts})"])
+    return _print([f"{loaded.file}: good ({counts or 'no devices'})"])
 
 
 def _schema(args: Args) -> int:
@@ -327,7 +327,8 @@ def judge(error: BaseException) -> tuple[int, str]:
         case Usage() | ScaffoldError():
             return USAGE, str(error)
         case ConfigError() | DeviceMisconfigured():
-            return CONFIG, str(error)
+            forbidden = isinstance(error.__cause__, PermissionError)
+            return PERMISSION if forbidden else CONFIG, str(error)
         case Unavailable() | DeviceError():
             return _os_code(_causes(error), UNAVAILABLE), str(error)
         case OSError():

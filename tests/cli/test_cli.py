@@ -6,6 +6,7 @@ import errno
 import io
 import math
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -50,7 +51,7 @@ class Doors:
     report: Report = field(default_factory=Report)
     refusal: str = ""
 
-    def load_config(self, file: str, *, sim: bool, sets: Any, env: Any) -> Loaded:
+    def load_config(self, file: str, *, sim: bool, sets: Any, env: Any, whole: bool = False) -> Loaded:
         self.calls.append(("load", (file, sim, tuple(sets))))
         if file == "wrong.yaml":
             raise self.wrong()
@@ -100,9 +101,10 @@ def module(name: str, **members: Any) -> types.ModuleType:
 @pytest.fixture
 def doors(monkeypatch: pytest.MonkeyPatch) -> Doors:
     behind = Doors()
+    monkeypatch.setattr("robotd.setup.load.load_config", behind.load_config)
+    monkeypatch.setattr("robotd.setup.load.schema", lambda: {"title": "robotd"})
     for made in (
         module("robotd.app", Options=Options, run=behind.run),
-        module("robotd.setup.load", load_config=behind.load_config, schema=lambda: {"title": "robotd"}),
         module("robotd.engine.replay", replay=behind.replay),
     ):
         monkeypatch.setitem(sys.modules, made.__name__, made)
@@ -259,12 +261,13 @@ def test_a_plugin_that_cannot_be_written(doors: Doors, capsys: pytest.CaptureFix
 
 @pytest.mark.parametrize(("argv", "code"), [("--config a.yaml", 0), ("check a.yaml", 130)])
 @pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
-def test_being_asked_to_stop(doors: Doors, argv: str, code: int, stop: signal.Signals) -> None:
+def test_being_asked_to_stop(argv: str, code: int, stop: signal.Signals, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(*args: Any, **options: Any) -> Any:
         os.kill(os.getpid(), stop)
         pytest.fail("the signal did not arrive")
 
-    sys.modules["robotd.setup.load"].load_config = interrupted  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "robotd.app", module("robotd.app", Options=Options, run=interrupted))
+    monkeypatch.setattr("robotd.setup.load.load_config", interrupted)
     assert cli.main(argv.split()) == code
 
 
@@ -368,6 +371,60 @@ def test_plugins_are_listed_without_being_imported() -> None:
     assert lines[0].split() == ["NAME", "GROUP", "DISTRIBUTION", "VERSION"]
     assert ["ld19", "robotd.devices", "robotd", "0.1.0"] in [line.split() for line in lines]
     assert lines[-1] == "0 []"
+
+
+GOOD = """\
+robot:
+  kinematics: {type: differential, track_m: 0.12}
+  footprint_m: [[0.1, 0.1], [0.1, -0.1], [-0.1, -0.1], [-0.1, 0.1]]
+guard:
+  zones: {off: a test}
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "argv", "code", "words"),
+    [
+        (GOOD, "", 0, "robot.yaml: good (no devices)\n"),
+        (GOOD, "--set act_hz=20", 0, "robot.yaml: good (no devices)\n"),
+        (GOOD, "--set act_hz=fast", 78, "--set act_hz: act_hz"),
+        (
+            GOOD.replace("track_m", "trackm"),
+            "",
+            78,
+            "robot.yaml:2:36: robot.kinematics.trackm: unknown key; did you mean 'track_m'",
+        ),
+        (GOOD + "robot: {}\n", "", 78, "robot.yaml:6:1"),
+    ],
+)
+def test_check_on_real_files(
+    tmp_path: Path, text: str, argv: str, code: int, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "robot.yaml"
+    file.write_text(text)
+    assert cli.main(["check", str(file), *argv.split()]) == code
+    out, err = capsys.readouterr()
+    assert words in (err if code else out)
+    assert (out if code else err) == ""
+
+
+def test_a_config_that_may_not_be_read(capsys: pytest.CaptureFixture[str]) -> None:
+    error = _from(ConfigError([Problem("a.yaml", None, None, "", "cannot be read")]), PermissionError(13, "no"))
+    assert cli.judge(error) == (77, "a.yaml: cannot be read")
+
+
+def test_the_page_about_the_command_line_names_every_option() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "cli.md").read_text()
+    synopsis = page.partition("```\n")[2].partition("```")[0]
+    said = set(re.findall(r"--[a-z-]+|(?<= \[)-v", synopsis))
+    known = {
+        option
+        for name in (None, *cli.COMMANDS)
+        for action in cli._parser(name)._actions
+        for option in action.option_strings
+    }
+    assert said == known - {"-h", "--help", "--verbose", "--version"}
+    assert all(re.search(rf"^robotd {name}\b", synopsis, re.M) for name in cli.COMMANDS)
 
 
 def test_errors_can_go_elsewhere(doors: Doors) -> None:

@@ -10,11 +10,11 @@ import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import pytest
 
-from robotd.authoring.config import Config, NoConfig
+from robotd.authoring.config import Config, FileKey, NoConfig
 from robotd.authoring.device import Sensor
 from robotd.engine.parts import DevicePart, Parts
 from robotd.setup.doctor import (
@@ -58,7 +58,8 @@ class CameraConfig(Config):
 
 
 class ModelConfig(Config):
-    model_file: str | None = None
+    model: Annotated[str | None, FileKey()] = None
+    map: Annotated[str, FileKey("maps")] = "line_loop"
 
 
 class Lidar(Sensor[PortConfig, LidarScan]):
@@ -186,9 +187,9 @@ MEMBER = Account("mai", frozenset({"mai", "dialout"}), frozenset({"dialout"}))
             "ping cam",
         ),
         (CameraConfig(source="rtsp://10.0.0.4:x/1"), FakeProbes(), 78, "is no valid address", "correct `source`"),
-        (ModelConfig(model_file="a.onnx"), FakeProbes(), 69, "file a.onnx does not exist", "correct the path"),
+        (ModelConfig(model="a.onnx"), FakeProbes(), 69, "file a.onnx does not exist", "correct the path"),
         (
-            ModelConfig(model_file="a.onnx"),
+            ModelConfig(model="a.onnx"),
             FakeProbes({"a.onnx": Node("file", readable=False)}),
             77,
             "user mai may not read a.onnx",
@@ -223,7 +224,7 @@ def test_faults_of_devices(config: Config, probes: FakeProbes, code: int, cause:
         (CameraConfig(source="f"), FakeProbes({"f": Node("folder", pictures=2)}), ["f is there, 2 pictures"]),
         (CameraConfig(source="http://cam/"), FakeProbes(network={("cam", 80): ""}), ["cam:80 answers"]),
         (ModelConfig(), FakeProbes(), ["names nothing that could be looked at without opening it"]),
-        (ModelConfig(model_file="a"), FakeProbes({"a": Node("file", writable=False)}), ["a is there"]),
+        (ModelConfig(model="a"), FakeProbes({"a": Node("file", writable=False)}), ["a is there"]),
     ],
 )
 def test_a_healthy_device_raises_no_alarm(config: Config, probes: FakeProbes, causes: list[str]) -> None:
@@ -247,6 +248,7 @@ def test_a_port_that_may_change_its_name_gets_a_note() -> None:
         (CameraConfig(source="2"), [Need("camera", "/dev/video2", "source")]),
         (CameraConfig(source="rtsp://cam/1"), [Need("network camera", "rtsp://cam/1", "source")]),
         (ModelConfig(), []),
+        (ModelConfig(model="/m/a.onnx"), [Need("file", "/m/a.onnx", "model")]),
         (NoConfig(), []),
     ],
 )

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Literal, Protocol, TypeAlias
 from urllib.parse import urlsplit
 
-from robotd.authoring.config import Config
+from robotd.authoring.config import Config, FileKey
 from robotd.engine.logs import printable
 from robotd.engine.parts import DevicePart, Parts
 from robotd.setup.problems import ConfigError
@@ -207,9 +207,9 @@ def _import_mend(error: Exception) -> str:
 
 
 def needs(config: Config) -> list[Need]:
-    """What of the machine a device's config names, by the names of its fields: `port`, `bus`, `source`, `..._file`."""
+    """What of the machine a device's config names: by the keys `port`, `bus` and `source`, and by `FileKey`."""
     found: list[Need] = []
-    for key in type(config).model_fields:
+    for key, about in type(config).model_fields.items():
         value = getattr(config, key)
         if value is None or isinstance(value, bool) or value == "":
             continue
@@ -221,7 +221,7 @@ def needs(config: Config) -> list[Need]:
         elif key == "source":
             kind: NeedKind = "network camera" if urlsplit(text).scheme in _URL_PORTS else "camera"
             found.append(Need(kind, f"/dev/video{text}" if text.isdigit() else text, key))
-        elif key.endswith("_file") or key in ("file", "model"):
+        elif any(isinstance(mark, FileKey) and not mark.shelf for mark in about.metadata):
             found.append(Need("file", text, key))
     return found
 
@@ -285,7 +285,7 @@ _DEVICE_HELP: Mapping[str, str] = {
     "serial port": "plug it in; `dmesg | tail` says whether the machine noticed",
     "I2C bus": "switch the bus on (Raspberry Pi: `sudo raspi-config`, Interface Options; else `sudo modprobe i2c-dev`)",
     "camera": "plug it in, or correct the path",
-    "file": "correct the path; it counts from the folder in which robotd was started unless it is absolute",
+    "file": "correct the path in the config; a relative one counts from the config's folder",
 }
 
 
