@@ -69,6 +69,7 @@ install_robotd() {
     [ "$1" = run ] || what=".[$1]"
     say "installing the packages of constraints.txt (this takes a while only once)"
     : >"$unfinished"
+    printf '%s\n' "$root" >"$venv/robotd-home"
     # the build tool first, so that it too comes in the pinned version
     (cd "$root" && "${pip[@]}" -q hatchling && "${pip[@]}" --no-build-isolation -e "$what") >&2 9>&- ||
         die "the packages could not be installed; see the lines above, then start again"
@@ -90,6 +91,9 @@ environment() {
     if ! up_to_date; then # else the one that we waited for did it
         if [ -e "$unfinished" ]; then
             say "the last set-up was cut off; starting anew"
+            make_venv
+        elif [ -e "$venv/robotd-home" ] && [ "$(<"$venv/robotd-home")" != "$root" ]; then
+            say "the checkout was moved; starting anew"
             make_venv
         elif ! suits "$venv/bin/python" || ! "$venv/bin/python" -c 'import pip' 2>/dev/null; then
             make_venv
