@@ -1,0 +1,1 @@
+"""An outside plugin for robotd: the behaviour `wander` and the device `bumper`."""
