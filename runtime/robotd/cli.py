@@ -236,7 +236,7 @@ def _new(args: Args) -> int:
     from robotd.setup.scaffold import new
 
     folder = new(args.kind, args.name, args.folder)
-    return _print([f"wrote {folder}", f"next: cd {folder} && pip install -e . && pytest"])
+    return _print([f"wrote {folder}", f"next: cd {folder} && pip install -e .[test] && pytest"])
 
 
 def _replay(args: Args) -> int:

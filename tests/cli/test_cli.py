@@ -280,7 +280,7 @@ def test_being_asked_to_stop(argv: str, code: int, stop: signal.Signals, monkeyp
         ("check a.yaml", ["a.yaml: good"]),
         ("check a.yaml --sim --set a=1", ["a.yaml: good"]),
         ("schema", ["{", '  "title": "robotd"', "}"]),
-        ("new device thermal", ["wrote thermal", "next: cd thermal && pip install -e . && pytest"]),
+        ("new device thermal", ["wrote thermal", "next: cd thermal && pip install -e .[test] && pytest"]),
         ("--version", ["robotd 0.1.0"]),
     ],
 )
