@@ -21,8 +21,8 @@ _OFF_SPEED = 0.3
 class Ld19Config(Config):
     """Parameters of an LD19 lidar."""
 
-    port: str = Field(min_length=1)
-    """Serial port, by its stable name: /dev/serial/by-id/..."""
+    port: str = Field(default="/dev/serial/by-id/usb-Silicon_Labs_CP210*", min_length=1)
+    """Serial port by its stable name, or a pattern that fits one; the default is the kit's own adapter."""
     baud: int = Field(default=230_400, ge=9_600, le=4_000_000)
     """Speed of the line; 230400 for LD06, LD19 and STL-19P, 921600 for STL-27L."""
     backend: Literal["pyserial", "raw"] = "pyserial"

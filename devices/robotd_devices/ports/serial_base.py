@@ -44,6 +44,7 @@ class SerialBase:
         self, settings: SerialSettings, on_data: Callable[[bytes], None], on_lost: Callable[[str], None]
     ) -> None:
         self.settings = settings
+        """As given; from opening on with the path that a pattern fitted."""
         self._on_data = on_data
         self._on_lost = on_lost
         self._fd = -1

@@ -6,10 +6,12 @@ import array
 import contextlib
 import errno
 import fcntl
+import glob
 import os
 import struct
 import sys
 import termios
+from dataclasses import replace
 
 from robotd.authoring.device import DeviceError, DeviceMisconfigured, DeviceUnavailable
 from robotd_devices.ports.serial_port import SerialSettings
@@ -21,8 +23,26 @@ _CBAUD, _BOTHER = 0o010017, 0o010000
 _TIOCGSERIAL, _TIOCSSERIAL = 0x541E, 0x541F
 _SERIAL_STRUCT_INTS, _FLAGS_INT, _ASYNC_LOW_LATENCY = 32, 4, 1 << 13
 
+_BY_ID = "/dev/serial/by-id"
+
 #: Errors by which a line says that it has no modem lines or no such setting.
 _NO_SUCH_LINE = (errno.ENOTTY, errno.EINVAL, errno.EOPNOTSUPP)
+
+
+def find_line(settings: SerialSettings) -> SerialSettings:
+    """The same settings with the one path that their pattern fits. Raises DeviceUnavailable for none or several."""
+    if not glob.has_magic(settings.path) or os.path.exists(settings.path):
+        return settings
+    found = sorted(glob.glob(settings.path))
+    if len(found) == 1:
+        return replace(settings, path=found[0])
+    if found:
+        raise DeviceUnavailable(f"{len(found)} serial ports fit {settings.path}: say which: {', '.join(found)}")
+    there = sorted(glob.glob(f"{_BY_ID}/*"))
+    raise DeviceUnavailable(
+        f"no serial port fits {settings.path}: is the cable in? "
+        + (f"Name one of these: {', '.join(there)}" if there else f"{_BY_ID} is empty")
+    )
 
 
 def open_line(settings: SerialSettings) -> int:

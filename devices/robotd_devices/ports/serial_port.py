@@ -18,7 +18,8 @@ BITS_PER_BYTE = 10
 class SerialSettings:
     """One line: 8 data bits, no parity, one stop bit, no flow control, locked against other programs.
 
-    path: a stable name (`/dev/serial/by-id/...`), never `/dev/ttyUSB0`, which changes with the order of plugging.
+    path: a stable name (`/dev/serial/by-id/...`), never `/dev/ttyUSB0`, which changes with the order of plugging; or a
+    pattern with `*` that fits exactly one name at the time of opening.
     dtr: state of the DTR line right after opening; None leaves what the system does (Linux raises it).
     """
 

@@ -45,9 +45,8 @@ class PySerialPort(SerialBase):
         import serial
         import serial_asyncio
 
-        settings = self.settings
-
         def blocking() -> Any:
+            self.settings = settings = serial_line.find_line(self.settings)
             line = serial.Serial()
             line.port, line.baudrate, line.exclusive = settings.path, settings.baud, True
             line.timeout = line.write_timeout = 0

@@ -17,9 +17,8 @@ class RawSerialPort(SerialBase):
     """A `SerialPort` over a bare descriptor; any speed the line can do, no dependency, the lowest latency."""
 
     async def open(self) -> None:
-        settings = self.settings
-
         def blocking() -> int:
+            self.settings = settings = serial_line.find_line(self.settings)
             try:
                 return serial_line.open_line(settings)
             except (OSError, termios.error, ValueError) as error:

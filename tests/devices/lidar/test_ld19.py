@@ -206,7 +206,7 @@ async def test_unplugged_and_plugged_in_again(tmp_path: Path, backend: str) -> N
         assert host.overrun == 0
         assert link.faults == {}
         seconds = (link.scans[-1].stamp_ns - link.scans[0].stamp_ns) / 1e9
-        assert (len(link.scans) - 1) / seconds == pytest.approx(10.0, rel=0.02)
+        assert (len(link.scans) - 1) / seconds == pytest.approx(10.0, rel=0.05)
         for scan, published_ns in zip(link.scans, link.published_ns, strict=True):
             assert len(scan.ranges_m) == 450
             assert np.abs(scan.ranges_m - room(scan.angles_rad.astype(np.float64))).max() <= 0.0006

@@ -287,6 +287,21 @@ async def test_what_cannot_be_opened(
     near.port.abort()
 
 
+async def test_a_pattern_finds_the_one_port(far: Far, backend: Backend, tmp_path: Path) -> None:
+    pattern = str(tmp_path / "usb-Maker_*")
+    with pytest.raises(DeviceUnavailable, match=r"no serial port fits .*usb-Maker_\*: is the cable in"):
+        await Near(pattern, backend).port.open()
+    (tmp_path / "usb-Maker_1").symlink_to(far.path)
+    near = Near(pattern, backend)
+    await near.port.open()
+    far.pull()
+    await until(lambda: bool(near.lost))
+    assert "usb-Maker_1 went away" in near.lost[0]
+    (tmp_path / "usb-Maker_2").symlink_to(far.path)
+    with pytest.raises(DeviceUnavailable, match=r"2 serial ports fit .*say which: .*usb-Maker_1, .*usb-Maker_2"):
+        await Near(pattern, backend).port.open()
+
+
 @pytest.mark.parametrize(
     ("number", "error", "words"),
     [
