@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Annotated, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from robotd.authoring.config import Config
+from robotd.authoring.config import Config, FileKey
 from robotd.authoring.device import DeviceContext, DeviceMisconfigured, World
 from robotd.world.clock import NS_PER_S, ns
 from robotd.world.kinematics import advance
@@ -26,7 +26,7 @@ _PAST_S = 1.0
 class FlatWorldConfig(Config):
     """The world of `simulation:`."""
 
-    map: str = "line_track"
+    map: Annotated[str, FileKey("maps")] = "line_track"
     """A map file, by path or by the name of a shipped map."""
     seed: int = Field(default=0, ge=0)
     """Everything random in this world follows from it and from the names of the devices."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
@@ -67,6 +67,8 @@ class Assembler:
     registry: Registry
     sim: bool = False
     whole: bool = False
+    _misspelt: set[str | None] = field(default_factory=set, init=False)
+    """Sections that seem to be there under a wrong name: that is one mistake, and nothing else is said of them."""
     _blurred: bool = field(default=False, init=False)
     """A class or a topic name is unknown, so that nothing can be said about who reads what from whom."""
 
@@ -77,6 +79,8 @@ class Assembler:
         for key in top:
             if key not in SECTIONS:
                 checker.at_key((key,), "unknown section", self._where_it_belongs(key))
+                self._misspelt.add(nearest(key, SECTIONS))
+        self._blurred = not self._misspelt.isdisjoint(PLUGIN_SECTIONS)
         robot = self._section(RobotSection, top, "robot")
         guard = self._section(GuardConfig, top, "guard")
         operator = self._section(OperatorSection, top, "operator")
@@ -84,7 +88,7 @@ class Assembler:
         single = checker.model(TopSection, {k: v for k, v in top.items() if k in TopSection.model_fields}, ())
         entries = {section: self._entries(section, top.get(section)) for section in PLUGIN_SECTIONS}
         if robot is not None:
-            self._mounts(robot, entries["devices"])
+            self._are_devices(robot.mounts, ("robot", "mounts"), entries["devices"])
         world, twins, armed = self._simulation(top, entries["devices"])
         devices = twins if self.sim else entries["devices"]
         parts = Parts(
@@ -119,7 +123,10 @@ class Assembler:
 
     def _section(self, cls: type[SectionT], top: dict[str, Any], key: str) -> SectionT | None:
         if key not in top and key == "robot":
-            self.checker.at_key((), "section `robot` is missing", "it holds kinematics, footprint_m, mounts and limits")
+            if key not in self._misspelt:
+                self.checker.at_key(
+                    (), "section `robot` is missing", "it holds kinematics, footprint_m, mounts and limits"
+                )
             return None
         raw = top.get(key)
         if raw is not None and not isinstance(raw, dict):
@@ -202,13 +209,11 @@ class Assembler:
         # the checked goal travels in place of the mapping that it came from
         return own.model_copy(update={"goal": goal})
 
-    def _mounts(self, robot: RobotSection, devices: Sequence[_Entry]) -> None:
-        names = [entry.name for entry in devices]
-        for name in robot.mounts:
-            if name not in names:
-                self.checker.at_key(
-                    ("robot", "mounts", name), "there is no device of this name", suggestion(name, names)
-                )
+    def _are_devices(self, named: Iterable[str], path: Path, devices: Sequence[_Entry]) -> None:
+        known = [entry.name for entry in devices]
+        for name in named:
+            if name not in known and "devices" not in self._misspelt:
+                self.checker.at_key((*path, name), "there is no device of this name", suggestion(name, known))
 
     # ------------------------------------------------------------------------------------- simulation
 
@@ -218,7 +223,7 @@ class Assembler:
         path: Path = ("simulation",)
         if "simulation" not in top:
             self._blurred = self._blurred or self.sim
-            if self.sim:
+            if self.sim and "simulation" not in self._misspelt:
                 self.checker.at_key((), "section `simulation` is missing", "for example simulation: {use: flat_world}")
             return None, [], True
         content = self._mapping(top["simulation"], path)
@@ -226,12 +231,7 @@ class Assembler:
         params = {key: value for key, value in content.items() if key not in reserved}
         own = self.checker.model(SimulationEntry, {k: v for k, v in content.items() if k in reserved}, path)
         overrides = content.get("devices") or {}
-        names = [entry.name for entry in devices]
-        for name in overrides if isinstance(overrides, dict) else ():
-            if name not in names:
-                self.checker.at_key(
-                    (*path, "devices", name), "there is no device of this name", suggestion(name, names)
-                )
+        self._are_devices(overrides if isinstance(overrides, dict) else (), (*path, "devices"), devices)
         if own is None or not (self.sim or self.whole):
             self._blurred = self._blurred or self.sim
             return None, [], True

@@ -168,6 +168,14 @@ class Checker:
             if fault.type == "extra_forbidden":
                 known = self._known(cls, fault.place[:-1], also)
                 self.at_key(where, "unknown key", suggestion(str(fault.place[-1]), known, fault.value))
+            elif fault.type == "union_tag_not_found":
+                # nothing more is known of this mapping until the key that chooses is right
+                known = self._known(cls, fault.place[:-1], ())
+                slip = [key for key in fault.value if key not in known and meant_key(key, known) == fault.place[-1]]
+                if slip:
+                    self.at_key((*where[:-1], slip[0]), "unknown key", suggestion(slip[0], known))
+                else:
+                    self.at_key(where, "is missing")
             elif fault.type == "missing":
                 # a misspelt key is one mistake, not two
                 if fault.place not in renamed:
@@ -216,8 +224,7 @@ class _Fault:
         if kind in ("union_tag_invalid", "union_tag_not_found"):
             # pydantic blames the whole mapping, a person looks at the key that chooses
             place.append(str(context["discriminator"]).strip("'"))
-            node = node.get(place[-1]) if isinstance(node, dict) else None
-            kind = "missing" if kind == "union_tag_not_found" else kind
+            node = node.get(place[-1]) if kind == "union_tag_invalid" and isinstance(node, dict) else node
         text = str(context["error"]) if "error" in context else item["msg"].removeprefix("Value error, ")
         expected = _EXPECTED.get(kind, "")
         if kind in ("literal_error", "enum", "union_tag_invalid"):

@@ -1,0 +1,1 @@
+"""The measurements of robotd, one module each; `harness` is what they share."""
