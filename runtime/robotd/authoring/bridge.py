@@ -11,7 +11,7 @@ from robotd.authoring.config import Config, NoConfig
 from robotd.authoring.explain import Explanation
 from robotd.authoring.generics import type_arguments
 from robotd.world.clock import Clock
-from robotd.world.messages import Drive, Event, Message
+from robotd.world.messages import Command, Event, Message
 from robotd.world.robot import Robot
 from robotd.world.topics import Topic
 
@@ -37,7 +37,7 @@ class RuntimeLink(Protocol):
     def cancel(self, by: str, behaviour: str) -> None: ...
     def pause(self, by: str) -> None: ...
     def resume(self, by: str) -> None: ...
-    def teleop(self, by: str, drive: Drive, lease_s: float) -> None:
+    def teleop(self, by: str, drive: Command, lease_s: float) -> None:
         """Drive by hand for `lease_s`; enters MANUAL. The lease's end stops the robot; only `resume` ends MANUAL."""
         ...
 

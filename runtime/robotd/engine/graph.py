@@ -39,8 +39,9 @@ class Graph:
     perceptors: tuple[PerceptorNode, ...]
     behaviours: tuple[BehaviourNode, ...]
 
-    def slot(self, name: str) -> Slot:
-        return self.slots[name]
+    @property
+    def nodes(self) -> tuple[Node, ...]:
+        return (*self.perceptors, *self.behaviours)
 
 
 def device_topics(part: DevicePart) -> dict[type[Message], Topic[Message]]:
@@ -243,8 +244,8 @@ def _age_problems(parts: Parts) -> list[GraphProblem]:
                 found.append(
                     GraphProblem(
                         path,
-                        f"{view.__name__}.{spec.name}: within_s={spec.within_ns / 1e9:g} would starve: {spec.topic.name} "
-                        f"comes every {period / 1e9:g} s, so 1.5 periods and latency are {least / 1e9:g} s",
+                        f"{view.__name__}.{spec.name}: within_s={spec.within_ns / 1e9:g} starves: {spec.topic.name} "
+                        f"comes every {period / 1e9:g} s; 1.5 periods and latency are {least / 1e9:g} s",
                         "raise within_s, or the rate of the source",
                     )
                 )
@@ -290,7 +291,7 @@ def _command_problems(parts: Parts) -> list[GraphProblem]:
             found.append(
                 GraphProblem(
                     path,
-                    f"emits Steer, but {bases[0].name} takes Drive and robot.kinematics has no wheelbase to convert with",
+                    f"emits Steer, but {bases[0].name} takes Drive and robot.kinematics has no wheelbase to convert",
                     "kinematics: {type: ackermann, ...}",
                 )
             )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from typing import Any, TypeAlias
 
 from robotd.authoring.behaviour import Behaviour
@@ -11,6 +12,7 @@ from robotd.authoring.perceptor import Perceptor
 from robotd.engine.bus import Lookout, Slot
 from robotd.engine.parts import BehaviourPart, PerceptorPart
 from robotd.safety.arbiter import Proposal
+from robotd.world.messages import CameraFrame, Message
 from robotd.world.robot import Robot
 
 
@@ -19,7 +21,7 @@ class PerceptorNode:
 
     __slots__ = (
         "again", "benched", "busy", "explained_ns", "explanation", "index", "lookout", "name", "offload", "output",
-        "part", "perceptor", "sees_frames", "sim_latency_s", "woken",
+        "part", "perceptor", "played", "sees_frames", "sim_latency_s", "woken",
     )  # fmt: skip
 
     def __init__(self, index: int, part: PerceptorPart, slots: dict[str, Slot], output: Slot, robot: Robot) -> None:
@@ -31,7 +33,8 @@ class PerceptorNode:
         self.output = output
         self.offload = part.cls.offload
         self.sim_latency_s = part.cls.sim_latency_s
-        self.sees_frames = any(spec.topic.type.__name__ == "CameraFrame" for spec in part.cls.sees.specs)
+        self.sees_frames = any(issubclass(spec.topic.type, CameraFrame) for spec in part.cls.sees.specs)
+        self.played: deque[Message | str | None] | None = None  # in replay: what was recorded, where no frames were
         self.woken = False
         self.busy = False
         self.again = False

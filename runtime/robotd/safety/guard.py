@@ -100,12 +100,22 @@ class Guard:
             points = np.empty((2, near.size))
             np.cos(bearing, out=points[0])
             np.sin(bearing, out=points[1])
+            if ranges.min() < scan.range_min_m:
+                ranges = self._touching(points, ranges, scan)
             points *= ranges
             points[0] += scan.x_m
             points[1] += scan.y_m
         else:
             points = np.empty((2, 0))
         return Sensed(topic, points, self._seen(topic, scan), scan.x_m, scan.y_m)
+
+    def _touching(self, directions: Points, ranges: Float64s, scan: LidarScan) -> Float64s:
+        """Ranges in which "below the minimum" became "at the outline": something touches the robot there."""
+        facing = self._normals.T @ directions
+        to_edge = (self._offsets - (scan.x_m * self._normals[0] + scan.y_m * self._normals[1]))[:, None]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            way = np.where(facing > 1e-9, to_edge / facing, np.inf).min(axis=0)
+        return np.where(ranges < scan.range_min_m, np.maximum(way, 0.0), ranges)
 
     def _seen(self, topic: str, scan: LidarScan) -> NDArray[np.bool_] | None:
         coverage = self._coverage.get(topic)
@@ -203,6 +213,8 @@ class Guard:
 
     def _zones(self, drive: Drive, by: str, sensed: Sequence[Sensed]) -> tuple[float, str, str]:
         """Factor on the whole motion, the zone that set it, and why in words."""
+        if all(source.seen is None and not source.points.shape[1] for source in sensed):
+            return 1.0, "", ""  # seen all round, and nothing within reach
         motion = self._follow(drive)
         blind = _blind_bearing(motion, sensed)
         if blind is not None:

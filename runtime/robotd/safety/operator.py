@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
 from robotd.authoring.config import Goal
-from robotd.world.messages import Drive, Mode
+from robotd.world.messages import Command, Mode
 
 MAX_LEASE_NS = 1_000_000_000
 
@@ -65,7 +65,7 @@ class Resume:
 @dataclass(frozen=True, slots=True)
 class Teleop:
     by: str
-    drive: Drive
+    drive: Command
     lease_ns: int
 
 
@@ -77,7 +77,7 @@ class Lease:
     """The hand that drives: until `until_ns` the latest command of `by` stands."""
 
     by: str
-    drive: Drive
+    drive: Command
     until_ns: int
 
 
