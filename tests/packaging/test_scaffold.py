@@ -91,6 +91,15 @@ def test_they_are_found_by_name(written: Written) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
+def test_its_robot_runs_in_the_simulator(written: Written, kind: str) -> None:
+    project = written.project(kind)
+    command = ["--config", "robot.yaml", "--sim", "--headless", "--duration", "2", "--speed", "max"]
+    for arguments in (["check", "robot.yaml"], command):
+        done = written.run(project, "robotd.cli", *arguments)
+        assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("kind", KINDS)
 def test_what_is_written(kind: str) -> None:
     written = {str(path): text for path, text in contents(kind, "my_thing").items()}
     assert set(written) >= {
