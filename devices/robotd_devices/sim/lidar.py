@@ -15,6 +15,9 @@ from robotd_devices.sim.rays import cast
 from robotd_devices.sim.ticks import Ticker
 from robotd_devices.sim.world import FlatWorld, flat_world
 
+_HEIGHT_M = 0.1
+"""Of the beams' plane where the mount does not tell."""
+
 
 class SimLidarConfig(Config):
     """A simulated planar lidar; the defaults are those of an LD19 (4,500 samples a second)."""
@@ -51,8 +54,8 @@ def beam_angles_rad(beams: int, fov_rad: float) -> Float32s:
 class SimLidar(Sensor[SimLidarConfig, LidarScan]):
     """Publishes at the end of each sweep, stamped then; `start_ns` is the end of the sweep before.
 
-    Beam i was measured at start + (end - start) i / (n - 1), as `LidarScan` says. The beam's plane is flat: the mount's
-    height, roll and pitch take no part.
+    Beam i was measured at start + (end - start) i / (n - 1), as `LidarScan` says. The beams' plane is level: the
+    mount's height says which cards and which part of a person it cuts, roll and pitch take no part.
     """
 
     def __init__(self, config: SimLidarConfig, context: DeviceContext | None = None) -> None:
@@ -63,7 +66,8 @@ class SimLidar(Sensor[SimLidarConfig, LidarScan]):
         # the float32 angle that is published is the angle that is cast
         self._exact_rad: Float64s = self._angles_rad.astype(np.float64)
         self._ticker = Ticker(1.0 / config.rate_hz, self._sweep)
-        self._lead_ns = ns(1.0 / config.rate_hz) * (np.arange(config.beams) / max(1, config.beams - 1) - 1.0)
+        self._shares: Float64s = np.arange(config.beams) / max(1, config.beams - 1)
+        self._lead_ns = ns(1.0 / config.rate_hz) * (self._shares - 1.0)
 
     @classmethod
     def publish_period_s(cls, config: SimLidarConfig) -> float | None:
@@ -92,7 +96,9 @@ class SimLidar(Sensor[SimLidarConfig, LidarScan]):
         )
         bearings_rad = self._exact_rad + (yaw_rad + mount.yaw_rad)
         origin_m = origins_m if len(origins_m) > 1 else origins_m[0]
-        return cast(origin_m, bearings_rad, world.map.segments_m, world.map.circles_m)
+        start_ns = end_ns - self._ticker.period_ns if self.config.moving_sweep else end_ns
+        things = world.seen(start_ns, end_ns, mount.z_m if mount.z_m > 0.0 else _HEIGHT_M)
+        return cast(origin_m, bearings_rad, things.segments_m, things.circles_m, things.moves_m, self._shares)
 
     def _sweep(self) -> None:
         if self._world is None:

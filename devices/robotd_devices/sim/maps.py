@@ -1,4 +1,4 @@
-"""From a map file to the plain geometry of a flat world: walls, posts, floor lines and where the robot starts."""
+"""From a map file to the plain geometry of a flat world: walls, posts, tape, cards, people, and the robot's start."""
 
 from __future__ import annotations
 
@@ -7,79 +7,23 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from pydantic import Field, ValidationError, model_validator
+from pydantic import ValidationError
 
-from robotd.authoring.config import Config
 from robotd.world.messages import Float64s
+from robotd_devices.sim.grid import read_grid
+from robotd_devices.sim.map_file import CardEntry, MapFile, PersonEntry, RouteEntry
+from robotd_devices.sim.people import Person, Walk, walk_along
+from robotd_devices.sim.polyline import box_segments_m, distance_to_segments_m, rounded
+from robotd_devices.sim.route import HEADING_RAD, Route, read_route
 
-Point: TypeAlias = tuple[float, float]
-
-_ARC_STEP_RAD = math.radians(4.0)
+_GRID_KEYS = {"image", "resolution", "origin"}
 
 
 class MapError(ValueError):
     """A map that cannot be used; the message names the file, the place and the mend."""
-
-
-class StartPose(Config):
-    """Where the base stands when the world opens."""
-
-    x_m: float = 0.0
-    y_m: float = 0.0
-    yaw_rad: float = 0.0
-
-
-class PolylineEntry(Config):
-    """What walls and tape have in common."""
-
-    points_m: tuple[Point, ...] = Field(min_length=2)
-    """Corners in the map frame, in metres; of tape, those of its middle."""
-    closed: bool = False
-    """Joins the last corner to the first."""
-
-
-class WallEntry(PolylineEntry):
-    """A wall without thickness along a polyline."""
-
-
-class PostEntry(Config):
-    """A round post."""
-
-    x_m: float
-    y_m: float
-    radius_m: float = Field(gt=0.0, le=10.0)
-
-
-class LineEntry(PolylineEntry):
-    """Tape on the floor along a polyline; it may end anywhere and cross other tape."""
-
-    width_m: float = Field(default=0.05, gt=0.0, le=1.0)
-    """Width of the tape."""
-    corner_radius_m: float = Field(default=0.0, ge=0.0, le=10.0)
-    """Corners become arcs of this radius (smaller where the sides are too short for it)."""
-
-
-class MapFile(Config):
-    """The content of one file in `maps/`."""
-
-    name: str = "map"
-    start: StartPose = StartPose()
-    walls: tuple[WallEntry, ...] = ()
-    posts: tuple[PostEntry, ...] = ()
-    lines: tuple[LineEntry, ...] = ()
-
-    @model_validator(mode="after")
-    def _no_repeated_corner(self) -> MapFile:
-        named = [(f"walls[{index}]", wall.points_m) for index, wall in enumerate(self.walls)]
-        named += [(f"lines[{index}]", line.points_m) for index, line in enumerate(self.lines)]
-        for place, points_m in named:
-            for at in range(1, len(points_m)):
-                if points_m[at] == points_m[at - 1]:
-                    raise ValueError(f"{place}.points_m[{at}] repeats the corner before it: remove one")
-        return self
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,12 +40,48 @@ class FloorLine:
         return np.hstack((self.points_m[:-1], self.points_m[1:]))
 
 
+@dataclass(frozen=True, slots=True)
+class Card:
+    """An upright card: the middle of its lower edge, where its face looks, and what is on it.
+
+    picture: an image file; text: printed letters; neither: bare in `grey`.
+    """
+
+    x_m: float
+    y_m: float
+    yaw_rad: float
+    width_m: float = 0.10
+    height_m: float = 0.10
+    bottom_m: float = 0.03
+    picture: str | None = None
+    text: str | None = None
+    grey: float = 235.0
+
+    @property
+    def segment_m(self) -> Float64s:
+        """Its lower edge seen from above, (4,): left end then right end as its reader sees them."""
+        half = self.width_m / 2.0
+        # the reader's right is the face's left
+        across = np.array((-math.sin(self.yaw_rad), math.cos(self.yaw_rad))) * half
+        middle = np.array((self.x_m, self.y_m))
+        return np.concatenate((middle - across, middle + across))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Box:
+    """Four sides (4, 4) that are there from one second of the world to another."""
+
+    segments_m: Float64s
+    from_s: float = 0.0
+    until_s: float = math.inf
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class WorldMap:
     """Geometry in the map frame, metres.
 
     segments_m: float64 (m, 4), x0, y0, x1, y1 of each wall. circles_m: float64 (k, 3), x, y, radius of each post.
-    start: x, y, yaw of the base at the beginning.
+    start: x, y, yaw of the base at the beginning. structure_height_m: of walls, posts and boxes, for the camera.
     """
 
     segments_m: Float64s
@@ -109,6 +89,10 @@ class WorldMap:
     lines: tuple[FloorLine, ...] = ()
     start: tuple[float, float, float] = (0.0, 0.0, 0.0)
     name: str = "map"
+    boxes: tuple[Box, ...] = ()
+    cards: tuple[Card, ...] = ()
+    people: tuple[Person, ...] = ()
+    structure_height_m: float = 0.3
 
     def line_distance_m(self, points_m: Float64s) -> Float64s:
         """Distance of each point (n, 2) to the middle of the nearest tape, float64 (n,); inf where there is none."""
@@ -118,78 +102,101 @@ class WorldMap:
         return nearest
 
     def bounds_m(self) -> tuple[float, float, float, float]:
-        """Least and greatest x and y of everything: x0, y0, x1, y1."""
+        """Least and greatest x and y of everything but people: x0, y0, x1, y1."""
         corners = [self.segments_m[:, :2], self.segments_m[:, 2:], *(line.points_m for line in self.lines)]
         corners += [self.circles_m[:, :2] + sign * self.circles_m[:, 2:] for sign in (-1.0, 1.0)]
+        corners += [box.segments_m[:, :2] for box in self.boxes]
+        corners += [card.segment_m.reshape(2, 2) for card in self.cards]
         corners.append(np.array([self.start[:2]]))
         all_m = np.vstack(corners)
         low, high = all_m.min(axis=0), all_m.max(axis=0)
         return float(low[0]), float(low[1]), float(high[0]), float(high[1])
 
 
-def distance_to_segments_m(points_m: Float64s, segments_m: Float64s) -> Float64s:
-    """Distance of each point (n, 2) to the nearest of the segments (m, 4), float64 (n,)."""
-    start, along = segments_m[:, :2], segments_m[:, 2:] - segments_m[:, :2]
-    offset = points_m[:, None, :] - start[None, :, :]
-    share = np.einsum("nmk,mk->nm", offset, along) / np.einsum("mk,mk->m", along, along)
-    gap = offset - np.clip(share, 0.0, 1.0)[:, :, None] * along[None, :, :]
-    nearest: Float64s = np.sqrt(np.einsum("nmk,nmk->nm", gap, gap).min(axis=1))
-    return nearest
+def map_from(content: MapFile, folder: Path | None = None) -> WorldMap:
+    """The geometry that a checked file describes; files that it names count from `folder`.
 
-
-def rounded(points_m: Sequence[Point], radius_m: float, closed: bool) -> Float64s:
-    """A polyline whose corners are arcs, float64 (n, 2); a closed one repeats its first point.
-
-    An arc takes at most half of its shorter side, so that neighbouring arcs never overlap; straight corners stay.
+    Raises ValueError, or pydantic's ValidationError, for a file among them that cannot be used.
     """
-    corners = [np.array(point, dtype=np.float64) for point in points_m]
-    if closed and not np.array_equal(corners[0], corners[-1]):
-        corners.append(corners[0])
-    if radius_m <= 0.0:
-        return np.array(corners)
-    ring = corners[:-1] if closed else corners
-    out: list[Float64s] = []
-    for index, corner in enumerate(ring):
-        if not closed and index in (0, len(ring) - 1):
-            out.append(corner)
-        else:
-            out.extend(_arc(ring[index - 1], corner, ring[(index + 1) % len(ring)], radius_m))
-    if closed:
-        out.append(out[0])
-    return np.array(out)
-
-
-def _arc(before: Float64s, corner: Float64s, after: Float64s, radius_m: float) -> list[Float64s]:
-    into, out_of = corner - before, after - corner
-    reach_m = min(float(np.hypot(*into)), float(np.hypot(*out_of))) / 2.0
-    into, out_of = into / np.hypot(*into), out_of / np.hypot(*out_of)
-    turn_rad = math.atan2(float(into[0] * out_of[1] - into[1] * out_of[0]), float(into @ out_of))
-    if abs(turn_rad) < 1e-6 or abs(turn_rad) > math.pi - 1e-3:
-        return [corner]
-    cut_m = min(radius_m * math.tan(abs(turn_rad) / 2.0), reach_m)
-    side = math.copysign(1.0, turn_rad)
-    radius = cut_m / math.tan(abs(turn_rad) / 2.0)
-    begin = corner - cut_m * into
-    centre = begin + side * radius * np.array([-into[1], into[0]])
-    steps = max(2, math.ceil(abs(turn_rad) / _ARC_STEP_RAD))
-    first = math.atan2(float(begin[1] - centre[1]), float(begin[0] - centre[0]))
-    angles = first + np.linspace(0.0, turn_rad, steps + 1)
-    return list(centre + radius * np.stack((np.cos(angles), np.sin(angles)), axis=1))
-
-
-def map_from(content: MapFile) -> WorldMap:
-    """The geometry that a checked file describes."""
+    folder = folder if folder is not None else Path()
     walls = [FloorLine(rounded(wall.points_m, 0.0, wall.closed)).segments_m for wall in content.walls]
+    posts = [(post.x_m, post.y_m, post.radius_m) for post in content.posts]
+    lines = [
+        FloorLine(rounded(line.points_m, line.corner_radius_m, line.closed), line.width_m, line.closed)
+        for line in content.lines
+    ]
+    start = (0.0, 0.0, 0.0)
+    if content.grid is not None:
+        file = _beside(folder, content.grid.file, "grid.file")
+        walls.append(read_grid(file, _read_yaml(file)).segments_m())
+    if content.route is not None:
+        route = read_route(_beside(folder, content.route.file, "route.file"))
+        laid = lay_route(route, content.route)
+        lines += laid.lines
+        posts += [(float(x), float(y), float(radius)) for x, y, radius in laid.circles_m]
+        start = laid.start
+    if content.start is not None:
+        start = (content.start.x_m, content.start.y_m, content.start.yaw_rad)
     return WorldMap(
         segments_m=np.vstack(walls) if walls else np.empty((0, 4)),
-        circles_m=np.array([(p.x_m, p.y_m, p.radius_m) for p in content.posts], dtype=np.float64).reshape(-1, 3),
-        lines=tuple(
-            FloorLine(rounded(line.points_m, line.corner_radius_m, line.closed), line.width_m, line.closed)
-            for line in content.lines
-        ),
-        start=(content.start.x_m, content.start.y_m, content.start.yaw_rad),
+        circles_m=np.array(posts, dtype=np.float64).reshape(-1, 3),
+        lines=tuple(lines),
+        start=start,
         name=content.name,
+        boxes=tuple(
+            Box(
+                box_segments_m(box.x_m, box.y_m, box.yaw_rad, box.length_m, box.width_m),
+                box.from_s,
+                math.inf if box.until_s is None else box.until_s,
+            )
+            for box in content.boxes
+        ),
+        cards=tuple(_card(entry, folder, at) for at, entry in enumerate(content.cards)),
+        people=tuple(_person(entry, folder, at) for at, entry in enumerate(content.people)),
+        structure_height_m=content.structure_height_m,
     )
+
+
+def lay_route(route: Route, how: RouteEntry) -> WorldMap:
+    """A route map as tape and markers, with the start that it names; the map frame's y grows to the north."""
+    posts: list[tuple[float, float, float]] = []
+    marked = {"none": [], "crossings": route.crossings(), "all": list(route.places)}[how.markers]
+    aside_m = how.marker_distance_m / math.sqrt(2.0)
+    for node in marked:
+        x_m, y_m = route.place_m(node, how.pitch_m)
+        posts += [(x_m + side * aside_m, y_m + side * aside_m, how.marker_radius_m) for side in (1.0, -1.0)]
+    start_m = route.place_m(route.start, how.pitch_m) if route.start is not None else (0.0, 0.0)
+    return WorldMap(
+        np.empty((0, 4)),
+        np.array(posts, dtype=np.float64).reshape(-1, 3),
+        tuple(FloorLine(tape_m, how.tape_width_m) for tape_m in route.tape_m(how.pitch_m, how.tape_width_m)),
+        (*start_m, HEADING_RAD[how.heading]),
+        "route",
+    )
+
+
+def _beside(folder: Path, name: str, place: str) -> Path:
+    path = folder / name
+    if not path.is_file():
+        raise ValueError(f"{place}: {name}: there is no such file in {folder}")
+    return path
+
+
+def _card(entry: CardEntry, folder: Path, at: int) -> Card:
+    content = entry.model_dump()
+    if entry.picture is not None:
+        content["picture"] = str(_beside(folder, entry.picture, f"cards[{at}].picture"))
+    return Card(**content)
+
+
+def _person(entry: PersonEntry, folder: Path, at: int) -> Person:
+    picture = None
+    if entry.picture is not None:
+        picture = str(_beside(folder, entry.picture, f"people[{at}].picture"))
+    walk: Walk = walk_along(
+        entry.points_m, entry.speed_mps, pause_s=entry.pause_s, from_s=entry.from_s, then=entry.then
+    )
+    return Person(walk, entry.height_m, entry.radius_m, picture=picture)
 
 
 def map_from_segments(
@@ -198,6 +205,8 @@ def map_from_segments(
     circles_m: Sequence[Sequence[float]] | Float64s = (),
     lines: Sequence[FloorLine] = (),
     start: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    cards: Sequence[Card] = (),
+    people: Sequence[Person] = (),
 ) -> WorldMap:
     """A map from plain numbers: walls as x0, y0, x1, y1, posts as x, y, radius. For tests and measurements."""
     return WorldMap(
@@ -206,6 +215,8 @@ def map_from_segments(
         tuple(lines),
         start,
         "segments",
+        cards=tuple(cards),
+        people=tuple(people),
     )
 
 
@@ -237,21 +248,36 @@ def _shipped_shelves() -> tuple[Path, ...]:
 
 
 def load_map(name: str) -> WorldMap:
-    """Read, check and build a map by path or shipped name. Raises MapError naming the file and each bad place."""
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
+    """Read, check and build a map by path or shipped name: ours, or the YAML file of a map_server picture.
 
+    Raises MapError naming the file and each bad place.
+    """
     path = find_map(name)
     try:
-        content: Any = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, YAMLError) as error:
-        raise MapError(f"map {path}: {error}") from error
-    if not isinstance(content, dict):
-        raise MapError(f"map {path}: expected keys such as start, walls, posts, lines; found {type(content).__name__}")
-    try:
-        return map_from(MapFile.model_validate(content))
+        content = _read_yaml(path)
+        if not isinstance(content, dict):
+            raise MapError(
+                f"map {path}: expected keys such as start, walls, posts, lines; found {type(content).__name__}"
+            )
+        if content.keys() >= _GRID_KEYS:
+            return WorldMap(read_grid(path, content).segments_m(), np.empty((0, 3)), name=path.stem)
+        return map_from(MapFile.model_validate(content), path.parent)
     except ValidationError as error:
         places = "; ".join(
             f"{'.'.join(str(part) for part in item['loc']) or 'map'}: {item['msg']}" for item in error.errors()
         )
         raise MapError(f"map {path}: {places}") from error
+    except MapError:
+        raise
+    except ValueError as error:
+        raise MapError(f"map {path}: {error}") from error
+
+
+def _read_yaml(path: Path) -> Any:
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+
+    try:
+        return YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, YAMLError) as error:
+        raise MapError(f"map {path}: {error}") from error

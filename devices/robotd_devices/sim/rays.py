@@ -20,13 +20,23 @@ _SLACK_RAD = 1e-9
 _GROUP_FROM = 40
 
 
-def cast(origins_m: Float64s, bearings_rad: Float64s, segments_m: Float64s, circles_m: Float64s) -> Float64s:
+def cast(
+    origins_m: Float64s,
+    bearings_rad: Float64s,
+    segments_m: Float64s,
+    circles_m: Float64s,
+    moves_m: Float64s | None = None,
+    shares: Float64s | None = None,
+) -> Float64s:
     """Distance along each ray to the nearest obstacle, float64 (n,), inf where there is none.
 
     origins_m: (n, 2), or (2,) for one origin for all. bearings_rad: (n,), any order, any turn. segments_m: (m, 4);
     circles_m: (k, 3), seen from inside as well. The origins may differ (a sensor that moves during its sweep):
     obstacles are then widened by what the origins spread, and the intersection itself stays exact. A ray that runs
     exactly along a segment passes it by, as a wall without thickness shows nothing edge-on.
+
+    moves_m: (k, 2), how far each circle goes during the sweep; it is at `circles_m` when its middle has passed. shares:
+    (n,), the part of the sweep at which each ray is sent, 0 to 1; without it everything stands.
     """
     n = len(bearings_rad)
     ranges_m = np.full(n, math.inf)
@@ -48,8 +58,14 @@ def cast(origins_m: Float64s, bearings_rad: Float64s, segments_m: Float64s, circ
             np.minimum.at(ranges_m, ray, _meet_segments(thing, ray, rays, local_m[group]))
     if len(circles_m):
         local_m = circles_m - np.append(centre_m, 0.0)
-        thing, ray = _candidates(sorted_rad, order, *_circle_bearings(local_m, spread_m))
-        np.minimum.at(ranges_m, ray, _meet_circles(thing, ray, rays, local_m))
+        reach_m: Float64s | float = spread_m
+        if moves_m is not None and shares is not None:
+            reach_m = spread_m + np.hypot(moves_m[:, 0], moves_m[:, 1]) * float(np.abs(shares - 0.5).max())
+        thing, ray = _candidates(sorted_rad, order, *_circle_bearings(local_m, reach_m))
+        centres_m = local_m.take(thing, axis=0)
+        if moves_m is not None and shares is not None:
+            centres_m[:, :2] += moves_m.take(thing, axis=0) * (shares.take(ray) - 0.5)[:, None]
+        np.minimum.at(ranges_m, ray, _meet_circles(ray, rays, centres_m))
     return ranges_m
 
 
@@ -94,7 +110,7 @@ def _segment_bearings(local_m: Float64s, spread_m: float) -> tuple[Float64s, Flo
     return first + np.minimum(turn, 0.0) - widen, first + np.maximum(turn, 0.0) + widen, nearest_m
 
 
-def _circle_bearings(local_m: Float64s, spread_m: float) -> tuple[Float64s, Float64s]:
+def _circle_bearings(local_m: Float64s, spread_m: float | Float64s) -> tuple[Float64s, Float64s]:
     x, y, radius_m = local_m.T
     middle = np.arctan2(y, x)
     widen = _widen(np.hypot(x, y), radius_m + spread_m)
@@ -145,10 +161,11 @@ def _meet_segments(thing: NDArray[np.intp], ray: NDArray[np.intp], rays: _Rays, 
     return np.maximum(range_m, 0.0, out=range_m)
 
 
-def _meet_circles(thing: NDArray[np.intp], ray: NDArray[np.intp], rays: _Rays, circles_m: Float64s) -> Float64s:
-    cos, sin, radius_m = rays.cos.take(ray), rays.sin.take(ray), circles_m[:, 2].take(thing)
-    px = circles_m[:, 0].take(thing) - rays.x_m.take(ray)
-    py = circles_m[:, 1].take(thing) - rays.y_m.take(ray)
+def _meet_circles(ray: NDArray[np.intp], rays: _Rays, circles_m: Float64s) -> Float64s:
+    """Range of each pair; circles_m: (p, 3), the circle of each pair where it is just then."""
+    cos, sin, radius_m = rays.cos.take(ray), rays.sin.take(ray), circles_m[:, 2]
+    px = circles_m[:, 0] - rays.x_m.take(ray)
+    py = circles_m[:, 1] - rays.y_m.take(ray)
     along = px * cos + py * sin
     across = px * sin - py * cos
     half = np.sqrt(np.maximum(radius_m**2 - across**2, 0.0))

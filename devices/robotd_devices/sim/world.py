@@ -1,4 +1,4 @@
-"""A flat world on a fixed grid of time: one robot's true pose among walls, posts and tape."""
+"""A flat world on a fixed grid of time: one robot's true pose among walls, posts, tape, cards and people."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from robotd.world.clock import NS_PER_S, ns
 from robotd.world.kinematics import advance
 from robotd.world.messages import STOP, Drive, Float64s
 from robotd_devices.sim.maps import FloorLine, MapError, WorldMap, load_map, map_from_segments
+from robotd_devices.sim.scene import Scene, Things
 from robotd_devices.sim.ticks import generator
 from robotd_devices.sim.touch import Outline
 
@@ -49,8 +50,9 @@ class FlatWorld(World[FlatWorldConfig]):
     that devices that fall on one instant see the same world whatever their order, and an instant at which nobody
     looks costs no timer. No step is left out. A command given inside a step counts for that whole step.
 
-    A step that would put the outline into a wall or a post is not taken: the base stands, `collisions` counts the
-    contacts (not the steps), and any motion that leads away is free.
+    A step that would put the outline into a wall, post, box or card is not taken: the base stands, `collisions` counts
+    the contacts (not the steps), and any motion that leads away is free. People walk on whatever the robot does and are
+    no wall to it: `person_contacts` counts how often a base that moves meets the disc of one.
     """
 
     def __init__(
@@ -63,9 +65,16 @@ class FlatWorld(World[FlatWorldConfig]):
         self._given = world_map
         self.map: WorldMap = world_map if world_map is not None else map_from_segments()
         self.collisions = 0
+        self.person_contacts = 0
         self.blocked = False
+        self.contacts_rad: tuple[float, ...] = ()
+        """Bearings in base of what the outline touches now, people included; empty where it is free."""
         self.velocity: Drive = STOP
         """The base's true velocity during the last step."""
+        self.effort_m = 0.0
+        """Way of the base so far, forward, sideways and of its outline in turns: what the motors had to do."""
+        self.supply = 1.0
+        """Voltage of the battery as a share of the full one; a simulated battery sets it."""
         self._step_ns = ns(self.config.step_s)
         self._step_s = self._step_ns / NS_PER_S
         self._body: Body | None = None
@@ -80,8 +89,10 @@ class FlatWorld(World[FlatWorldConfig]):
         self._past = np.empty((4 * self._rows, 4))
         self._past[0] = (0.0, *self.map.start)
         self._filled = 1
-        self._outline = Outline(self.context.robot.footprint_m, self.map)
-        self._free_m = 0.0
+        self.scene = Scene(self.map, self.generator("people"))
+        self._meets: frozenset[int] = frozenset()
+        self._people_free_m = 0.0
+        self._look_around(0.0)
 
     async def open(self) -> None:
         """Reads the map and puts the base at its start. Raises DeviceMisconfigured for a map that cannot be."""
@@ -90,7 +101,8 @@ class FlatWorld(World[FlatWorldConfig]):
                 self.map = load_map(self.config.map)
             except MapError as error:
                 raise DeviceMisconfigured(str(error)) from error
-        self.collisions, self.blocked, self.velocity, self._body = 0, False, STOP, None
+        self.collisions, self.person_contacts, self.blocked, self.contacts_rad = 0, 0, False, ()
+        self.velocity, self.effort_m, self.supply, self._body = STOP, 0.0, 1.0, None
         self._begin()
         if self._outline.touches(*self.map.start):
             raise DeviceMisconfigured(f"map {self.map.name}: the robot touches a wall or post at `start`: move it")
@@ -145,38 +157,93 @@ class FlatWorld(World[FlatWorldConfig]):
         past = self._past[max(0, end - self._rows) : end]
         return np.stack([np.interp(when, past[:, 0], past[:, column]) for column in (1, 2, 3)], axis=1)
 
+    def second(self, stamp_ns: int) -> float:
+        """Seconds of this world at an instant, as people and boxes count them."""
+        return (stamp_ns - self._start_ns) / NS_PER_S
+
+    def seen(self, from_ns: int, to_ns: int, height_m: float) -> Things:
+        """What a level plane at this height cuts from one instant to another; people move on a straight line in it."""
+        return self.scene.seen(self.second(from_ns), self.second(to_ns), height_m)
+
+    def put(
+        self, name: str, segments_m: Sequence[Sequence[float]] = (), circles_m: Sequence[Sequence[float]] = ()
+    ) -> None:
+        """Sets walls and posts there from now on, in place of what had that name (a box that appears in a test)."""
+        self.advance()
+        segments, circles = np.array(segments_m, dtype=np.float64), np.array(circles_m, dtype=np.float64)
+        self.scene.put(name, Things(segments.reshape(-1, 4), circles.reshape(-1, 3)))
+        self._look_around(self._steps * self._step_s)
+
+    def take_away(self, name: str) -> None:
+        """Removes from now on what was put there. Raises KeyError where there is nothing of that name."""
+        self.advance()
+        self.scene.take_away(name)
+        self._look_around(self._steps * self._step_s)
+
     def off_line_m(self) -> float:
         """How far the base's origin is from the middle of the nearest tape now; inf where there is none."""
         x_m, y_m, _ = self.pose()
         return float(self.map.line_distance_m(np.array([[x_m, y_m]]))[0])
 
     def _step(self) -> None:
+        if self._steps >= self._change_step:
+            self._look_around(self._steps * self._step_s)
         drive = self._body.step() if self._body is not None else STOP
         if drive is not STOP:
             drive = self._move(drive)
         self.velocity = drive
         self._steps += 1
+        if self.scene.people:
+            self._meet_people(drive)
         self._remember()
+
+    def _look_around(self, when_s: float) -> None:
+        """Takes note of what stands there now, until the next box comes or goes."""
+        self._outline = Outline(self.context.robot.footprint_m, self.scene.standing(when_s))
+        self._free_m = 0.0
+        change_s = self.scene.next_change_s(when_s)
+        self._change_step = math.ceil(change_s / self._step_s - 1e-9) if math.isfinite(change_s) else math.inf
+
+    def _travel_m(self, drive: Drive) -> float:
+        """No point of the outline moves farther than this in one step."""
+        return (math.hypot(drive.vx_mps, drive.vy_mps) + abs(drive.wz_radps) * self._outline.radius_m) * self._step_s
 
     def _move(self, drive: Drive) -> Drive:
         x_m, y_m, yaw_rad = advance(self._x_m, self._y_m, self._yaw_rad, drive, self._step_s)
-        # no point of the outline moves farther than this
-        travel_m = (
-            math.hypot(drive.vx_mps, drive.vy_mps) + abs(drive.wz_radps) * self._outline.radius_m
-        ) * self._step_s
+        travel_m = self._travel_m(drive)
+        self.effort_m += travel_m
         if self._free_m <= travel_m:
             self._free_m = self._outline.clearance_m(x_m, y_m)
-            if self._free_m <= 0.0 and self._outline.touches(x_m, y_m, yaw_rad):
+            if self._free_m <= 0.0:
                 self._free_m = 0.0
-                self.collisions += not self.blocked
-                self.blocked = True
-                return STOP
+                touched_rad = self._outline.contacts_rad(x_m, y_m, yaw_rad)
+                if touched_rad:
+                    self.collisions += not self.blocked
+                    self.blocked, self.contacts_rad = True, touched_rad
+                    return STOP
         else:
             self._free_m -= travel_m
-        self.blocked = False
+        if self.blocked:
+            self.blocked, self.contacts_rad = False, ()
         self._x_m, self._y_m, self._yaw_rad = x_m, y_m, yaw_rad
         self._turned_rad += drive.wz_radps * self._step_s
         return drive
+
+    def _meet_people(self, drive: Drive) -> None:
+        """Counts people that the outline begins to touch while the base moves; their bearings are contacts too."""
+        self._people_free_m -= self._travel_m(drive) + self.scene.top_speed_mps * self._step_s
+        if self._people_free_m > 0.0:
+            return
+        circles_m = self.scene.people_circles_m(self._steps * self._step_s)
+        met = self._outline.meets(self._x_m, self._y_m, self._yaw_rad, circles_m)
+        gaps_m = np.hypot(circles_m[:, 0] - self._x_m, circles_m[:, 1] - self._y_m) - circles_m[:, 2]
+        self._people_free_m = max(0.0, float(gaps_m.min()) - self._outline.radius_m)
+        if drive is not STOP:
+            self.person_contacts += len(met.keys() - self._meets)
+        if met or self._meets:
+            walls_rad = self.contacts_rad if self.blocked else ()
+            self.contacts_rad = (*walls_rad, *met.values())
+        self._meets = frozenset(met)
 
     def _remember(self) -> None:
         if self._filled >= len(self._past) - 1:

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from robotd_devices.sim.maps import MapError, WorldMap, distance_to_segments_m, find_map, load_map, rounded
+from robotd_devices.sim.maps import MapError, WorldMap, find_map, load_map
+from robotd_devices.sim.polyline import distance_to_segments_m, rounded
 
 
 def crossings(world: WorldMap) -> int:
