@@ -1,0 +1,222 @@
+"""The one thread that talks to an I2C chip for a driver: newest command wins, a stop overtakes, the loop is free."""
+
+from __future__ import annotations
+
+import asyncio
+import atexit
+import contextlib
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Generic, TypeVar
+
+from robotd.authoring.device import DeviceError, DeviceUnavailable
+from robotd_devices.ports.i2c_bus import I2cBus, I2cWrite
+
+T = TypeVar("T")
+
+RETRIES = 2
+RETRY_AFTER_S = 0.002
+_CLOSE_WITHIN_S = 0.15
+
+
+@dataclass(frozen=True)
+class ChipPlan(Generic[T]):
+    """How a driver's commands become writes: pure functions, called on the writer's thread.
+
+    begin: gets the chip ready, its first write the stop; raises OSError or DeviceError. plan: the writes that lead from
+    what was written last (None: the stop) to what is wanted. stop: the writes that stop everything, whatever the state
+    of the chip. check: is the chip still as `begin` left it? Raises OSError or DeviceError; called every `check_s`.
+    explain: words for an OSError of the bus.
+    """
+
+    begin: Callable[[I2cBus], None]
+    plan: Callable[[T | None, T], Sequence[I2cWrite]]
+    stop: Sequence[I2cWrite]
+    check: Callable[[I2cBus], None]
+    check_s: float
+    explain: Callable[[OSError], str]
+
+
+class I2cWriter(Generic[T]):
+    """A mailbox for one command of type T (never None) and one stop, and a daemon thread that empties it.
+
+    The callbacks run on the loop: `on_written(command)` after the last write of a command, None for a stop;
+    `on_fault(name, detail)` for an error that a retry overcame; `on_lost(reason)` once, after `RETRIES` retries of one
+    transaction or a failed check; the thread has then tried to stop, and ends. None is called after `close`.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        chip: ChipPlan[T],
+        open_bus: Callable[[], I2cBus],
+        *,
+        on_written: Callable[[T | None], None],
+        on_fault: Callable[[str, str], None],
+        on_lost: Callable[[str], None],
+    ) -> None:
+        self._chip = chip
+        self._open_bus = open_bus
+        self._on_written = on_written
+        self._on_fault = on_fault
+        self._on_lost = on_lost
+        self._mail = threading.Condition()
+        self._wanted: T | None = None
+        self._stop_due = False
+        self._closing = False
+        self._silent = False
+        self._ready = asyncio.Event()
+        self._ended = asyncio.Event()
+        self._why_not: DeviceError | None = None
+        self._loop = asyncio.get_running_loop()
+        self._thread = threading.Thread(target=self._run, name=f"i2c writer {name}", daemon=True)
+
+    async def open(self) -> None:
+        """Start the thread, wait until the chip is ready. Raises DeviceError; safe to cancel, then call `close`."""
+        atexit.register(self._at_exit)
+        self._thread.start()
+        await self._ready.wait()
+        if self._why_not is not None:
+            raise self._why_not
+
+    def put(self, command: T) -> None:
+        """The command to write next; one that still waits is forgotten. Never blocks."""
+        with self._mail:
+            self._wanted = command
+            self._mail.notify()
+
+    def stop(self) -> None:
+        """Write the stop next; a command that waits is forgotten, one half written is broken off. Never blocks."""
+        with self._mail:
+            self._wanted = None
+            self._stop_due = True
+            self._mail.notify()
+
+    async def close(self) -> None:
+        """Write the stop as the last thing and let go; a thread that a stuck bus holds is left to end by itself."""
+        atexit.unregister(self._at_exit)
+        self._silent = True
+        self._end()
+        if self._thread.is_alive():
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(_CLOSE_WITHIN_S):
+                    await self._ended.wait()
+
+    def _end(self) -> None:
+        with self._mail:
+            self._wanted = None
+            self._closing = self._stop_due = True
+            self._mail.notify()
+
+    def _at_exit(self) -> None:
+        """The program ends without closing its devices: the stop all the same."""
+        self._end()
+        self._thread.join(_CLOSE_WITHIN_S)
+
+    # ------------------------------------------------------------------------------------- on the thread
+
+    def _run(self) -> None:
+        bus: I2cBus | None = None
+        try:
+            bus = self._open_bus()
+            self._chip.begin(bus)
+            self._tell(self._ready.set)
+            self._serve(bus)
+        except Exception as error:
+            self._give_up(error)
+        finally:
+            if bus is not None:
+                self._stop_at_last(bus)
+                with contextlib.suppress(OSError):
+                    bus.close()
+            self._tell(self._ended.set)
+
+    def _serve(self, bus: I2cBus) -> None:
+        chip = self._chip
+        written: T | None = None
+        check_at_s = time.monotonic() + chip.check_s
+        while True:
+            with self._mail:
+                if self._wanted is None and not self._stop_due:
+                    self._mail.wait(max(0.0, check_at_s - time.monotonic()))
+                if self._closing:
+                    return
+                stop, self._stop_due = self._stop_due, False
+                wanted = None
+                if not stop:
+                    wanted, self._wanted = self._wanted, None
+            if stop:
+                for write in chip.stop:
+                    self._write(bus, write)
+                written = None
+                self._report(None)
+            elif wanted is not None and self._write_all(bus, chip.plan(written, wanted)):
+                written = wanted
+                self._report(wanted)
+            if time.monotonic() >= check_at_s:
+                self._attempt(partial(chip.check, bus))
+                check_at_s = time.monotonic() + chip.check_s
+
+    def _write_all(self, bus: I2cBus, writes: Sequence[I2cWrite]) -> bool:
+        """False where a stop came in between: the rest is not written, the stop is next."""
+        for write in writes:
+            if self._stop_due:
+                return False
+            self._write(bus, write)
+        return True
+
+    def _write(self, bus: I2cBus, write: I2cWrite) -> None:
+        self._attempt(partial(bus.write, *write))
+
+    def _attempt(self, transaction: Callable[[], None], *, quiet: bool = False) -> None:
+        for attempt in range(RETRIES + 1):
+            try:
+                transaction()
+                return
+            except OSError as error:
+                if attempt == RETRIES:
+                    raise
+                if not quiet:
+                    self._tell(self._fault, "I2C retry", self._chip.explain(error))
+                time.sleep(RETRY_AFTER_S)
+
+    def _stop_at_last(self, bus: I2cBus) -> None:
+        with contextlib.suppress(OSError):
+            for write in self._chip.stop:
+                self._attempt(partial(bus.write, *write), quiet=True)
+
+    def _give_up(self, error: Exception) -> None:
+        if isinstance(error, OSError):
+            told: DeviceError = DeviceUnavailable(self._chip.explain(error))
+        elif isinstance(error, DeviceError):
+            told = error
+        else:
+            told = DeviceError(f"the writer failed: {type(error).__name__}: {error}")
+        self._tell(self._lose, told)
+
+    def _report(self, command: T | None) -> None:
+        self._tell(self._written, command)
+
+    def _tell(self, call: Callable[..., None], *args: object) -> None:
+        with contextlib.suppress(RuntimeError):  # the loop is closed: nobody is left to hear
+            self._loop.call_soon_threadsafe(call, *args)
+
+    # --------------------------------------------------------------------------------------- on the loop
+
+    def _written(self, command: T | None) -> None:
+        if not self._silent:
+            self._on_written(command)
+
+    def _fault(self, name: str, detail: str) -> None:
+        if not self._silent:
+            self._on_fault(name, detail)
+
+    def _lose(self, error: DeviceError) -> None:
+        if not self._ready.is_set():
+            self._why_not = error
+            self._ready.set()
+        elif not self._silent:
+            self._on_lost(str(error))
