@@ -1,4 +1,4 @@
-"""From a pixel to the place on the floor that it shows, for a wide-angle camera on a robot. Scalars only: a few a frame.
+"""From a pixel to the place on the floor that it shows, for a wide-angle camera on a robot. Scalars, a few a frame.
 
 Source: the wide-angle model of Kannala and Brandt (IEEE TPAMI 28(8), 2006), r = f (theta + k1 theta^3 + ... +
 k4 theta^9), whose four terms OpenCV's fisheye module names k1 to k4; all zero is the equidistant lens.
@@ -38,8 +38,8 @@ class FloorView:
         return self.mount.z_m > 0.0
 
     def floor_m(self, x: float, row: float, aspect: float) -> tuple[float, float]:
-        """Where on the floor (ahead, left) in base the picture shows what it does at `x` (-1 left, 1 right), `row` (0 top,
-        1 bottom); `aspect` is the picture's width over its height. (nan, nan) at or above the horizon.
+        """The place on the floor, (ahead, left) in base, that the picture shows at `x` (-1 left, 1 right) and `row` (0 top,
+        1 bottom). aspect: the picture's width over its height. (nan, nan) at or above the horizon.
         """
         if not self.knows_floor or math.isnan(x) or math.isnan(row):
             return math.nan, math.nan

@@ -90,7 +90,8 @@ def _is_line(trace: Trace) -> bool:
 
 def follow(runs: list[list[Run]], width: int, first: Piece) -> Trace:
     """The line upwards from `first`: each row's run must lie where the last rows point to, and be as wide."""
-    pieces, bars = [first], []
+    pieces = [first]
+    bars: list[list[Piece]] = []
     centres, bar_rows, empty, clipped = [first.centre], 0, 0, False
     steady = float(first.right - first.left)
     in_bar = False
