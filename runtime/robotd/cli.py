@@ -242,19 +242,24 @@ def _new(args: Args) -> int:
 def _replay(args: Args) -> int:
     if not args.file.is_file():
         raise Usage(f"robotd replay: there is no file {args.file}")
-    from robotd.engine.replay import replay
+    from robotd.engine.codec import RecordError
+    from robotd.setup.recording import replay_file
 
-    report = replay(args.file, tolerance=args.tolerance)
+    try:
+        report = replay_file(args.file, tolerance=args.tolerance, demand=args.demand)
+    except RecordError as error:
+        raise Usage(f"robotd replay: {error}") from error
     _print(_replay_lines(report))
-    return INTERNAL if args.demand and report.first_difference is not None else OK
+    passed = report.first_difference is None and report.compared > 0
+    return INTERNAL if args.demand and not passed else OK
 
 
 def _replay_lines(report: ReplayReport) -> list[str]:
     lines = [f"{report.compared} commands compared"]
-    if report.first_difference is None:
-        lines.append("all commands came out again")
-    else:
+    if report.first_difference is not None:
         lines.append(f"first difference: {report.first_difference}")
+    elif report.compared:
+        lines.append("all commands came out again")
     return lines + [str(note) for note in report.notes]
 
 

@@ -62,8 +62,8 @@ class Doors:
         assert callable(view.update)
         return int(self.then())
 
-    def replay(self, path: Path, *, tolerance: float) -> Report:
-        self.calls.append(("replay", (path.name, tolerance)))
+    def replay(self, path: Path, *, tolerance: float, demand: bool) -> Report:
+        self.calls.append(("replay", (path.name, tolerance, demand)))
         return self.report
 
     def new(self, kind: str, name: str, folder: Path | None) -> Path:
@@ -105,7 +105,7 @@ def doors(monkeypatch: pytest.MonkeyPatch) -> Doors:
     monkeypatch.setattr("robotd.setup.load.schema", lambda: {"title": "robotd"})
     for made in (
         module("robotd.app", Options=Options, run=behind.run),
-        module("robotd.engine.replay", replay=behind.replay),
+        module("robotd.setup.recording", replay_file=behind.replay),
     ):
         monkeypatch.setitem(sys.modules, made.__name__, made)
     monkeypatch.setattr("robotd.setup.scaffold.new", behind.new)

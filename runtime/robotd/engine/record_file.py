@@ -76,12 +76,13 @@ def _version() -> str:
 
 
 def platform_header() -> dict[str, str]:
-    """The part of a header that says on what it was made: robotd, python, numpy, cpu."""
+    """The part of a header that says on what it was made: robotd, python, numpy, cpu, libc."""
     return {
         "robotd": _version(),
         "python": platform.python_version(),
         "numpy": np.__version__,
         "cpu": cpu_class(),
+        "libc": " ".join(filter(None, platform.libc_ver())) or platform.platform(),
     }
 
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from robotd.engine.parts import Parts
 from robotd.setup.assemble import Assembler
-from robotd.setup.layers import lay_over
+from robotd.setup.layers import PREFIX, lay_over
 from robotd.setup.problems import ConfigError, Problem, in_order
 from robotd.setup.registry import Registry
 from robotd.setup.resources import find_config
@@ -24,7 +24,8 @@ class Loaded:
     """One robot's config, read and checked.
 
     `merged`: the content after all layers, plain and fit for JSON, file names replaced by the paths that they meant;
-    `parts_from_merged` makes the same parts of it. `source_text`: the file as it stands.
+    `parts_from_merged` makes the same parts of it. `source_text`: the file as it stands. `sets`, `env`: the layers over
+    it as they were given, of the environment only what is meant for robotd.
     """
 
     parts: Parts
@@ -33,6 +34,8 @@ class Loaded:
     merged: dict[str, Any]
     file: Path
     sim: bool
+    sets: tuple[str, ...] = ()
+    env: Mapping[str, str] = field(default_factory=dict)
 
 
 def load_config(
@@ -62,7 +65,8 @@ def load_config(
         lay_over(source, env, sets)
     parts, recorder = _parts(source, file.resolve().parent, registry, sim=sim, whole=whole)
     text = raw.decode("utf-8-sig")
-    return Loaded(parts, recorder, text, source.data, file, sim)
+    layer = {name: value for name, value in (env or {}).items() if name.startswith(PREFIX)}
+    return Loaded(parts, recorder, text, source.data, file, sim, tuple(sets), layer)
 
 
 def parts_from_merged(merged: Mapping[str, Any], sim: bool = False, *, registry: Registry | None = None) -> Parts:
