@@ -544,13 +544,10 @@ class Core:
         self.command = command
         self.limited_by = limited_by
         self._written_ns = now_ns
-        if self._journal is None and not self._applied.readers:
-            return
         applied = Applied(now_ns, command, by, limited_by)
         if self._journal is not None:
             self._journal.note("command", by, now_ns, applied)
-        if self._applied.readers:
-            self._applied.put(applied, now_ns)
+        self._applied.put(applied, now_ns)
 
     def _say_standing(self) -> None:
         reason = self.standing_reason

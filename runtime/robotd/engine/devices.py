@@ -154,20 +154,16 @@ class KeptDevice:
                 assert self._core is not None
                 self._core.device_opened(self.name, self._clock.now_ns())
                 self.on_open()
-            try:
-                await self._gone
-            finally:
-                if not self._gone.done() or self._gone.cancelled():
-                    self.state = "closed"
+            await self._gone
             await self._close()
             await sleep(backoff_s)
 
     on_open: Callable[[], None] = staticmethod(lambda: None)
 
     async def close(self) -> None:
-        """The way out."""
-        self.state = "closed"
+        """The way out. Until here the state stays what it was, so that every halt on the way still gets through."""
         await self._close()
+        self.state = "closed"
 
     async def _close(self) -> None:
         try:

@@ -169,10 +169,10 @@ class Runtime:
         await kept.keep(kept.name in self.core.needed_devices, GIVE_UP_S)
 
     async def _serve(self, part: BridgePart) -> None:
-        bridge: Bridge[Any] = part.cls(part.config)
         attempt = 0
         while True:
             try:
+                bridge: Bridge[Any] = part.cls(part.config)
                 await bridge.run(self.handle)
                 return
             except Exception as error:
