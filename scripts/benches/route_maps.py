@@ -127,6 +127,7 @@ class RouteMaps(Bench):
         Figure("cost_differences", "maps", "= 0", "random maps on which the plan is not the cheapest"),
         Figure("replan_200_ms_p50", "ms", "<= 1", "from anywhere to anywhere on 200 nodes, three bans"),
         Figure("replan_200_ms_p99", "ms", "", "the same"),
+        Figure("no_route_200_ms_p50", "ms", "", "the same, the goal banned from all sides: no route, and why"),
         Figure("visits_8_ms", "ms", "", "eight nodes to visit in the best order, on 64 nodes"),
     )
 
@@ -142,6 +143,7 @@ class RouteMaps(Bench):
 
         rng = random.Random(7)
         took_ms: list[float] = []
+        shut_ms: list[float] = []
         for _ in range(3 if ctx.quick else 20):
             made = random_map(rng, 20, 10, keep=0.85)
             planner = RoutePlanner(made)
@@ -152,8 +154,14 @@ class RouteMaps(Bench):
                 begin = time.perf_counter()
                 planner.plan(start.id, Compass.E, goal.id, bans)
                 took_ms.append((time.perf_counter() - begin) * 1e3)
+            shut = [edge.key for edge in made.edges if edge.target == goal.id]
+            begin = time.perf_counter()
+            planner.plan(start.id, Compass.E, goal.id, shut)
+            shut_ms.append((time.perf_counter() - begin) * 1e3)
         ctx.figure("replan_200_ms_p50", median(took_ms), runs=len(took_ms))
         ctx.figure("replan_200_ms_p99", quantiles(took_ms, n=100)[98], runs=len(took_ms))
+
+        ctx.figure("no_route_200_ms_p50", median(shut_ms), runs=len(shut_ms))
 
         made = random_map(rng, 8, 8, keep=1.0, one_way=0.0)
         planner = RoutePlanner(made)

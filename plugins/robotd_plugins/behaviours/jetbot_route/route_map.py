@@ -207,6 +207,12 @@ class MapScale:
         """x_m, y_m, yaw_rad in the map frame of a base that stands on a node and looks a way."""
         return *self.to_map_m(node.x, node.y), heading.yaw_rad
 
+    def tape_m(self, route_map: RouteMap) -> list[tuple[tuple[float, float], tuple[float, float]]]:
+        """The roads as straight pieces of tape in the map frame, each once, whichever ways it may be driven."""
+        roads = {tuple(sorted(edge.key, key=natural)) for edge in route_map.edges}
+        ends = [(route_map.node(a), route_map.node(b)) for a, b in sorted(roads, key=lambda r: tuple(map(natural, r)))]
+        return [(self.to_map_m(a.x, a.y), self.to_map_m(b.x, b.y)) for a, b in ends]
+
 
 def natural(text: str) -> tuple[tuple[int, int | str], ...]:
     """A key that sorts texts as people do: node 2 before node 10."""

@@ -7,9 +7,10 @@ from bisect import bisect_left, bisect_right
 from collections import defaultdict
 from collections.abc import Iterator
 
+from robotd.setup.problems import Path
 from robotd_plugins.behaviours.jetbot_route.compass import Compass
 from robotd_plugins.behaviours.jetbot_route.route_map import NodeKind, RouteEdge, RouteMap, RouteNode
-from robotd_plugins.behaviours.jetbot_route.route_map_problems import ERRORS, Path
+from robotd_plugins.behaviours.jetbot_route.route_map_problems import ERRORS
 from robotd_plugins.behaviours.jetbot_route.route_map_shapes import Draft, DraftEdge, DraftNode, Named, Tell
 
 _CLOSE = 1e-9
@@ -42,11 +43,14 @@ class _Check:
         starts = self._mission("start", NodeKind.START, self._draft.starts)
         goals = self._mission("goal", NodeKind.END, self._draft.goals)
         self._check_dimensions()
-        if self._errors:
+        if not self._sound():
             return None
         made = self._make(starts, goals)
         self._check_reach(made)
-        return None if self._errors else made
+        return made if self._sound() else None
+
+    def _sound(self) -> bool:
+        return self._errors == 0
 
     def _tell(self, code: str, path: Path, message: str) -> None:
         self._errors += code in ERRORS

@@ -5,16 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path as FilePath
 
+from robotd.setup.problems import Path, dotted
 from robotd_plugins.behaviours.jetbot_route.route_map import RouteMap
 from robotd_plugins.behaviours.jetbot_route.route_map_check import check_draft
 from robotd_plugins.behaviours.jetbot_route.route_map_json import read_json
-from robotd_plugins.behaviours.jetbot_route.route_map_problems import (
-    ERRORS,
-    MapProblem,
-    Path,
-    RouteMapError,
-    dotted,
-)
+from robotd_plugins.behaviours.jetbot_route.route_map_problems import ERRORS, MapProblem, RouteMapError
 from robotd_plugins.behaviours.jetbot_route.route_map_shapes import read_shape
 
 MAX_BYTES = 1_000_000

@@ -6,8 +6,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from robotd.setup.problems import Path, dotted
-
 #: What makes a map unusable, by code: what it means. The table of docs/behaviours/route_maps.md is this one.
 ERRORS: Mapping[str, str] = MappingProxyType(
     {
@@ -112,6 +110,3 @@ class RouteMapError(ValueError):
     def codes(self) -> tuple[str, ...]:
         """The codes of the errors, in the order of the file."""
         return tuple(problem.code for problem in self.problems if problem.is_error)
-
-
-__all__ = ["ERRORS", "WARNINGS", "MapProblem", "Path", "RouteMapError", "dotted"]

@@ -11,9 +11,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from robotd.setup.problems import Path
 from robotd_plugins.behaviours.jetbot_route.compass import Compass
 from robotd_plugins.behaviours.jetbot_route.route_map import NodeKind
-from robotd_plugins.behaviours.jetbot_route.route_map_problems import Path
 
 Tell = Callable[[str, Path, str], None]
 """Told of each mistake: its code, its path and what is wrong."""
