@@ -1,0 +1,444 @@
+"""Live cameras, faked at the capture call: the newest picture only, honest stamps, hangs, unplugging, a real stream."""
+
+from __future__ import annotations
+
+import asyncio
+import socketserver
+import threading
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from robotd.authoring.device import DeviceError, DeviceLost, DeviceMisconfigured, DeviceUnavailable
+from robotd.testing import FakeLink, ManualClock, check_sensor, connected
+from robotd.world.clock import Clock, ns
+from robotd.world.messages import CameraFrame
+from robotd_devices.camera import Camera, CameraConfig
+from robotd_devices.camera.captures import check_node, open_live
+from robotd_devices.camera.config import kind_of, shown
+from robotd_devices.camera.shape import Shape
+
+cv2 = pytest.importorskip("cv2")
+
+PERIOD_NS = 50_000_000
+
+
+class FakeCapture:
+    """What stands for `cv2.VideoCapture`: pictures come when the test sends them; the number is in the pixels.
+
+    After `take()` returns, the grabber has handed the picture over and waits for the next one.
+    """
+
+    def __init__(self) -> None:
+        self.released = 0
+        self.opened = 0
+        self.driver_ms = 0.0
+        self.odd: Any = None
+        self.decodes = True
+        self._number = 0
+        self._answers: list[bool] = []
+        self._come = threading.Condition()
+        self._waiting = False
+        self._gone = False
+
+    def __call__(self) -> FakeCapture:
+        self.opened += 1
+        return self
+
+    def grab(self) -> bool:
+        with self._come:
+            self._waiting = True
+            self._come.notify_all()
+            self._come.wait_for(lambda: bool(self._answers) or self._gone)
+            self._waiting = False
+            return self._answers.pop(0) if self._answers else False
+
+    def retrieve(self) -> tuple[bool, Any]:
+        self._number += 1
+        if self.odd is not None:
+            odd, self.odd = self.odd, None
+            return True, odd
+        return self.decodes, np.full((24, 32, 3), self._number, np.uint8)
+
+    def get(self, propId: int, /) -> float:
+        return self.driver_ms
+
+    def release(self) -> None:
+        self.released += 1
+
+    def send(self) -> None:
+        """A picture is there."""
+        with self._come:
+            self._come.wait_for(lambda: self._waiting or self._gone, 5.0)
+            self._answers.append(True)
+            self._waiting = False
+            self._come.notify_all()
+
+    def unplug(self) -> None:
+        """Reads fail from now on, also one that waits."""
+        with self._come:
+            self._gone = True
+            self._come.notify_all()
+
+    def plug(self) -> None:
+        with self._come:
+            self._gone = False
+
+    def take(self) -> None:
+        """`send`, and wait until the grabber is through with it. Blocks the loop, as a slow program does."""
+        self.send()
+        with self._come:
+            assert self._come.wait_for(lambda: self._waiting, 5.0)
+
+
+async def until(done: Callable[[], object], within_s: float = 5.0) -> None:
+    """Wait for what another thread brings about; fails where it does not come."""
+    async with asyncio.timeout(within_s):
+        while True:
+            if done():
+                return
+            await asyncio.sleep(0.001)
+
+
+def camera(capture: Callable[[], Any], clock: Clock | None = None, **config: Any) -> tuple[Camera, FakeLink]:
+    make = partial(Camera, open_capture=capture)
+    return connected(make, CameraConfig(**config), name="camera", clock=clock)
+
+
+async def test_ten_times_too_slow_a_program_sees_the_newest_picture_and_no_queue() -> None:
+    capture, clock = FakeCapture(), ManualClock()
+    device, link = camera(capture, clock, rate_hz=20.0)
+    await device.open()
+    for turn in range(1, 6):
+        for _ in range(10):  # the loop is busy for ten periods
+            clock.set_ns(clock.now_ns() + PERIOD_NS)
+            capture.take()
+        clock.set_ns(clock.now_ns() + PERIOD_NS // 2)
+        await link.received(turn)
+        frame = link.of(CameraFrame)[-1]
+        # half a period since the newest arrived, and half a one that the stamp is before the arrival
+        assert clock.now_ns() - frame.stamp_ns <= 1.5 * PERIOD_NS
+        assert frame.sequence == turn * 10
+        assert frame.bgr[0, 0, 0] == turn * 10
+        clock.set_ns(clock.now_ns() + PERIOD_NS // 2)
+    assert len(link.messages) == 5
+    capture.unplug()
+    await device.close()
+
+
+async def test_every_picture_of_a_fast_program() -> None:
+    capture = FakeCapture()
+    device, link = camera(capture)
+    await device.open()
+    for count in range(1, 8):
+        capture.send()
+        await link.received(count)
+    frames = link.of(CameraFrame)
+    assert [frame.sequence for frame in frames] == list(range(1, 8))
+    assert {frame.source for frame in frames} == {"/dev/video0"}
+    assert not frames[0].bgr.flags.writeable
+    capture.unplug()
+    await device.close()
+    assert capture.released == 1
+
+
+@pytest.mark.parametrize(
+    ("config", "driver_ns", "stamp_ns"),
+    [
+        ({}, None, 10_000_000_000 - PERIOD_NS // 2),  # the arrival, less half a period
+        ({"latency_s": 0.1}, None, 9_900_000_000),
+        ({"latency_s": 0.0}, None, 10_000_000_000),
+        ({"latency_s": 0.0}, 9_970_000_000, 9_970_000_000),  # the driver's stamp
+        ({"latency_s": 0.01}, 9_970_000_000, 9_960_000_000),
+        ({"latency_s": 0.0}, 10_000_000_001, 10_000_000_000),  # from the future, or of another clock: not believed
+        ({"latency_s": 0.0}, 8_999_999_999, 10_000_000_000),
+        ({"latency_s": 0.0, "source": "rtsp://x/1"}, 9_970_000_000, 10_000_000_000),  # a position in a stream
+    ],
+)
+async def test_stamps(config: dict[str, Any], driver_ns: int | None, stamp_ns: int) -> None:
+    capture, clock = FakeCapture(), ManualClock(10_000_000_000)
+    if driver_ns is not None:
+        capture.driver_ms = driver_ns / 1e6
+    device, link = camera(capture, clock, rate_hz=20.0, **config)
+    await device.open()
+    capture.send()
+    await link.received(1)
+    assert link.messages[0].stamp_ns == stamp_ns
+    capture.unplug()
+    await device.close()
+
+
+async def test_unplugged_and_plugged_in_again() -> None:
+    capture = FakeCapture()
+    device, link = camera(capture)
+    await device.open()
+    capture.send()
+    await link.received(1)
+    capture.unplug()
+    await link.until(lambda link: bool(link.losses))
+    assert isinstance(link.losses[0], DeviceLost)
+    assert str(link.losses[0]) == (
+        "camera: /dev/video0: no picture came any more: is its cable in, and its supply strong enough?"
+    )
+    await device.close()
+    assert capture.released == 1
+    capture.plug()
+    await device.open()
+    capture.send()
+    await link.received(2)
+    capture.unplug()
+    await device.close()
+    assert (capture.opened, capture.released, len(link.losses)) == (2, 2, 1)
+
+
+async def test_silent_camera_is_lost_and_closing_does_not_wait_for_a_read_that_hangs() -> None:
+    captures: list[FakeCapture] = []
+
+    def new() -> FakeCapture:
+        captures.append(FakeCapture())
+        return captures[-1]()
+
+    device, link = camera(new, silent_s=0.2)
+    loop = asyncio.get_running_loop()
+    for count in (1, 2):
+        await device.open()
+        await link.until(lambda link, count=count: len(link.losses) == count)
+        assert "no picture for 0.2 s: does the camera hang" in str(link.losses[-1])
+        began_s = loop.time()
+        await device.close()
+        assert loop.time() - began_s < 0.2
+    # two threads hang in their reads: no third one
+    with pytest.raises(DeviceUnavailable, match=r"camera: /dev/video0 hangs: 2 reads of it never returned"):
+        await device.open()
+    await device.close()
+    captures[0].send()  # one comes back after all; what it brings is old
+    await until(lambda: captures[0].released == 1)
+    await device.open()
+    captures[-1].send()
+    await link.received(1)
+    assert len(link.messages) == 1
+    captures[-1].unplug()
+    captures[1].unplug()
+    await device.close()
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (lambda c: setattr(c, "odd", np.zeros((4, 4, 2), np.uint8)), "uint8 (4, 4, 2) is not 8 bits"),
+        (lambda c: setattr(c, "decodes", False), "it could not be decoded"),
+    ],
+)
+async def test_bad_picture_is_dropped_and_counted(spoil: Callable[[FakeCapture], None], words: str) -> None:
+    capture = FakeCapture()
+    device, link = camera(capture)
+    await device.open()
+    spoil(capture)
+    capture.take()
+    capture.decodes = True
+    capture.send()
+    await link.received(1)
+    assert [name for name, _ in link.faults] == ["picture dropped"]
+    assert words in link.faults[0][1]
+    assert link.of(CameraFrame)[0].sequence == 2
+    capture.unplug()
+    await device.close()
+
+
+async def test_grey_live_pictures_become_three_channels() -> None:
+    capture = FakeCapture()
+    device, link = camera(capture, rotate_deg=90, width_px=18)
+    await device.open()
+    capture.odd = np.full((24, 32), 7, np.uint8)
+    capture.send()
+    await link.received(1)
+    assert link.of(CameraFrame)[0].bgr.shape == (24, 18, 3)
+    capture.unplug()
+    await device.close()
+
+
+async def test_keeps_the_contract_of_sensors() -> None:
+    capture = FakeCapture()
+    stop = threading.Event()
+
+    def feed() -> None:
+        while not stop.wait(0.005):
+            capture.send()
+
+    feeder = threading.Thread(target=feed, daemon=True)
+    feeder.start()
+    device, link = camera(capture, rate_hz=100.0)
+    await check_sensor(device, messages=5)
+    assert link.losses == []
+    stop.set()
+    capture.unplug()
+    feeder.join(6.0)
+    assert not feeder.is_alive()
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (DeviceMisconfigured("`source`: wrong"), r"camera: `source`: wrong"),
+        (cv2.error("oops"), r"camera: error: oops"),
+    ],
+)
+async def test_opening_fails_with_words(error: Exception, words: str) -> None:
+    def fails() -> Any:
+        raise error
+
+    device, link = camera(fails)
+    with pytest.raises(DeviceError, match=words):
+        await device.open()
+    await device.close()
+    assert link.losses == []
+
+
+async def test_cancelled_opening_releases_the_capture_when_it_comes() -> None:
+    capture, go = FakeCapture(), threading.Event()
+
+    def slow() -> FakeCapture:
+        go.wait(5.0)
+        return capture()
+
+    device, _ = camera(slow)
+    with pytest.raises(TimeoutError):
+        async with asyncio.timeout(0.02):
+            await device.open()
+    await device.close()
+    go.set()
+    await until(lambda: capture.released)
+    assert (capture.opened, capture.released) == (1, 1)
+
+
+# ------------------------------------------------------------------------------------- opening for real
+
+
+@pytest.mark.parametrize(
+    ("source", "error", "words"),
+    [
+        ("/dev/video97", DeviceUnavailable, "/dev/video97 does not exist: plug the camera in"),
+        (97, DeviceUnavailable, "/dev/video97 does not exist"),
+        ("/dev/null", DeviceUnavailable, "/dev/null cannot be opened: another program uses it, or it is a node"),
+        ("http://127.0.0.1:9/x", DeviceUnavailable, "no stream from http://127.0.0.1:9/x: is the camera on"),
+        ("http://me:secret@127.0.0.1:9/x", DeviceUnavailable, "no stream from http://127.0.0.1:9/x: is"),
+    ],
+)
+def test_open_live_says_why_not(source: int | str, error: type[Exception], words: str) -> None:
+    with pytest.raises(error) as raised:
+        open_live(CameraConfig(source=source), Shape())
+    assert words in str(raised.value)
+    assert "secret" not in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("has_gstreamer", "error", "words"),
+    [
+        (False, DeviceMisconfigured, "this OpenCV was built without GStreamer"),
+        (True, DeviceUnavailable, "the pipeline does not run: try it with `gst-launch-1.0`"),
+    ],
+)
+def test_pipelines_need_an_opencv_with_gstreamer(
+    monkeypatch: pytest.MonkeyPatch, has_gstreamer: bool, error: type[Exception], words: str
+) -> None:
+    monkeypatch.setattr(cv2.videoio_registry, "hasBackend", lambda backend: has_gstreamer)
+    with pytest.raises(error, match=words):
+        open_live(CameraConfig(source="no_such_element ! appsink"), Shape())
+
+
+def test_a_plain_file_is_no_camera(tmp_path: Path) -> None:
+    (tmp_path / "video0").write_text("")
+    with pytest.raises(DeviceMisconfigured, match="video0 is no camera"):
+        check_node(str(tmp_path / "video0"))
+
+
+@pytest.mark.parametrize(
+    ("source", "kind", "name"),
+    [
+        (0, "v4l2", "/dev/video0"),
+        ("2", "v4l2", "/dev/video2"),
+        ("/dev/v4l/by-id/usb-x-video-index0", "v4l2", "/dev/v4l/by-id/usb-x-video-index0"),
+        ("rtsp://a:b@cam/1", "url", "rtsp://cam/1"),
+        ("http://cam:81/stream", "url", "http://cam:81/stream"),
+        ("nvarguscamerasrc ! appsink", "pipeline", "nvarguscamerasrc ! appsink"),
+        ("/tmp", "folder", "/tmp"),
+        ("drive.avi", "video", "drive.avi"),
+    ],
+)
+def test_kinds_of_sources(source: int | str, kind: str, name: str) -> None:
+    assert (kind_of(source), shown(source)) == (kind, name)
+
+
+def test_declares_itself() -> None:
+    assert Camera.emits == (CameraFrame,)
+    assert Camera.config_type is CameraConfig
+    assert Camera.sim_twin == "sim_camera"
+    assert Camera.publish_period_s(CameraConfig(rate_hz=20.0)) == 0.05
+    assert CameraConfig().latency == pytest.approx(1 / 60)
+    assert CameraConfig(source="/tmp").latency == 0.0
+
+
+@pytest.mark.parametrize(
+    ("config", "words"),
+    [({"rotate_deg": 45}, "rotate_deg"), ({"rate_hz": 0}, "rate_hz"), ({"width_px": 1}, "width_px"), ({"x": 1}, "x")],
+)
+def test_config_refuses(config: dict[str, object], words: str) -> None:
+    with pytest.raises(ValidationError, match=words):
+        CameraConfig.model_validate(config)
+
+
+# --------------------------------------------------------------------------- MJPEG over HTTP, through OpenCV
+
+
+class _Stream(socketserver.StreamRequestHandler):
+    def handle(self) -> None:
+        server: Any = self.server
+        while self.rfile.readline().strip():
+            pass
+        self.wfile.write(b"HTTP/1.0 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=b\r\n\r\n")
+        while not server.cut.wait(0.02):
+            jpeg = cv2.imencode(".jpg", np.full((48, 64, 3), 200, np.uint8))[1].tobytes()
+            head = f"--b\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
+            try:
+                self.wfile.write(head.encode() + jpeg + b"\r\n")
+            except OSError:
+                return
+
+
+@pytest.fixture
+def stream() -> Iterator[Any]:
+    class Server(socketserver.ThreadingTCPServer):
+        daemon_threads = True
+        block_on_close = False
+
+    with Server(("127.0.0.1", 0), _Stream) as server:
+        server.cut = threading.Event()  # type: ignore[attr-defined]
+        thread = threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True)
+        thread.start()
+        yield server
+        server.cut.set()  # type: ignore[attr-defined]
+        server.shutdown()
+        thread.join()
+
+
+async def test_mjpeg_over_http_and_its_end(stream: Any) -> None:
+    url = f"http://127.0.0.1:{stream.server_address[1]}/video"
+    device, link = connected(Camera, CameraConfig(source=url, rate_hz=50.0), name="camera")
+    await device.open()
+    await link.received(5)
+    frame = link.of(CameraFrame)[-1]
+    assert frame.bgr.shape == (48, 64, 3)
+    assert abs(int(frame.bgr.mean()) - 200) <= 3
+    assert frame.source == url
+    stamps = [message.stamp_ns for message in link.messages]
+    assert stamps == sorted(stamps)
+    assert link.arrived_ns[-1] - stamps[-1] >= ns(0.01)  # half a period before it arrived
+    stream.cut.set()
+    await link.until(lambda link: bool(link.losses))
+    assert "no picture came any more" in str(link.losses[0])
+    await device.close()
