@@ -16,6 +16,7 @@ from robotd.engine.record_reader import Recording
 from robotd.engine.replay import ReplayReport, replay, same_arithmetic
 from robotd.setup.load import Loaded, parts_from_merged
 from robotd.setup.registry import GROUPS, Registry
+from robotd.setup.yaml_source import read_yaml
 
 _SECRET = re.compile(r"password|passwd|secret|token|credential", re.IGNORECASE)
 _MASK = "***"
@@ -87,26 +88,33 @@ def recorded_parts(recording: Recording, registry: Registry | None = None) -> Pa
 
 def _header(loaded: Loaded, registry: Registry) -> dict[str, Any]:
     secrets: set[str] = set()
-    merged = dict(loaded.merged)
-    if "bridges" in merged:
-        merged["bridges"] = _masked(merged["bridges"], "", secrets)
-
-    def masked(text: str) -> str:
-        for secret in sorted(secrets, key=len, reverse=True):
-            text = text.replace(secret, _MASK)
-        return text
-
+    merged = _without_secrets(loaded.merged, secrets)
+    _without_secrets(read_yaml(loaded.source_text, loaded.file.name).data, secrets)
+    text = loaded.source_text
+    for secret in sorted(secrets, key=len, reverse=True):
+        text = text.replace(secret, _MASK)
     return {
         "format": FORMAT,
         "config": merged,
         "config_file": loaded.file.name,
-        "config_text": masked(loaded.source_text),
-        "sets": [masked(text) for text in loaded.sets],
-        "env": {name: masked(value) for name, value in loaded.env.items()},
+        "config_text": text,
+        "sets": [_set_without_secret(text) for text in loaded.sets],
+        "env": {name: _MASK if _SECRET.search(name) else value for name, value in loaded.env.items()},
         "sim": loaded.sim,
         "plugins": dict(_used_plugins(merged, registry)),
         "files": dict(_used_files(merged)),
     }
+
+
+def _set_without_secret(assignment: str) -> str:
+    key, _, value = assignment.partition("=")
+    return f"{key}={_MASK if _SECRET.search(key) else value}"
+
+
+def _without_secrets(config: Any, secrets: set[str]) -> Any:
+    if not isinstance(config, dict) or "bridges" not in config:
+        return config
+    return {**config, "bridges": _masked(config["bridges"], "", secrets)}
 
 
 def _masked(value: Any, key: str, secrets: set[str]) -> Any:
