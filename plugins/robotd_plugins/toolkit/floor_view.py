@@ -38,8 +38,10 @@ class FloorView:
         return self.mount.z_m > 0.0
 
     def floor_m(self, x: float, row: float, aspect: float) -> tuple[float, float]:
-        """The place on the floor, (ahead, left) in base, that the picture shows at `x` (-1 left, 1 right) and `row` (0 top,
-        1 bottom). aspect: the picture's width over its height. (nan, nan) at or above the horizon.
+        """The place on the floor, (ahead, left) in base, that the picture shows.
+
+        x: -1 (left) to 1 (right). row: 0 (top) to 1 (bottom). aspect: the picture's width over its height.
+        (nan, nan) at or above the horizon.
         """
         if not self.knows_floor or math.isnan(x) or math.isnan(row):
             return math.nan, math.nan

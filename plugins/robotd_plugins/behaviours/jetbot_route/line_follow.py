@@ -13,7 +13,7 @@ from robotd.world.robot import Robot
 from robotd_plugins.behaviours.jetbot_route.config import JetBotRouteConfig, JetBotRouteGoal
 from robotd_plugins.behaviours.jetbot_route.evidence import Place, Votes
 from robotd_plugins.behaviours.jetbot_route.states import Facts, State, transition
-from robotd_plugins.behaviours.jetbot_route.steer import LineAhead, curvature_pm, drive, line_ahead
+from robotd_plugins.behaviours.jetbot_route.steer import LineAhead, curvature_pm, drive, learned_drift_pm, line_ahead
 from robotd_plugins.toolkit.line_seen import LineSeen
 
 log = logging.getLogger("robotd.jetbot_route")
@@ -59,6 +59,8 @@ class JetBotRoute(Behaviour[JetBotRouteConfig, Sees, JetBotRouteGoal]):
         self._accept_rad = math.pi / 2.0
         self._ahead: LineAhead | None = None
         self._last_left_m = 0.0
+        self._drift_pm = 0.0
+        self._driven_m = 0.0
         self._search: list[float] = []
         self._searched = False
 
@@ -94,7 +96,7 @@ class JetBotRoute(Behaviour[JetBotRouteConfig, Sees, JetBotRouteGoal]):
     # ------------------------------------------------------------------------------------ what it knows
 
     def _travel(self, odometry: Odometry) -> None:
-        before, self._odometry = self._odometry, odometry
+        before, self._odometry, self._driven_m = self._odometry, odometry, 0.0
         if before is None:
             return
         x_m, y_m = odometry.x_m - before.x_m, odometry.y_m - before.y_m
@@ -102,6 +104,7 @@ class JetBotRoute(Behaviour[JetBotRouteConfig, Sees, JetBotRouteGoal]):
         if abs(step_m) < _ODOMETRY_JUMP_M:
             # a larger step is a base that began to count anew
             self._travelled_m += step_m
+            self._driven_m = step_m
 
     def _perceive(self, seen: Sees) -> None:
         line, odometry, config = seen.line, seen.odometry, self.config
@@ -122,6 +125,8 @@ class JetBotRoute(Behaviour[JetBotRouteConfig, Sees, JetBotRouteGoal]):
             # the course is the line's direction in the frame of odometry
             off_rad = math.remainder(yaw_rad + ahead.heading_rad - self._course_rad, math.tau)
             self._course_rad += (1.0 - _COURSE_KEEPS) * off_rad
+            if self.state is State.DRIVING_STRAIGHT:
+                self._drift_pm = learned_drift_pm(self._drift_pm, ahead, self._driven_m, self.config)
         bar = line.bar
         if bar is not None and at_m + bar.ahead_m - self._passed_m < config.crossing_distance_m:
             bar = None
@@ -169,24 +174,19 @@ class JetBotRoute(Behaviour[JetBotRouteConfig, Sees, JetBotRouteGoal]):
         if self.state not in _MOVING:
             return Drive()
         config = self.config
-        if self.state is State.REACQUIRING_LINE and self._ahead is None:
-            if self._travelled_m - self._seen_m >= config.reacquire_m or self._search:
-                return self._look_about(odometry)
+        unseen_m = self._travelled_m - self._seen_m
+        looks = self.state is State.REACQUIRING_LINE and (self._search or unseen_m >= config.reacquire_m)
+        if looks and self._ahead is None:
+            return self._look_about(odometry)
         ahead, speed_mps = self._ahead, config.base_speed_mps
-        if ahead is None or self._holds_course():
+        if ahead is None:
             # keep the direction, without a word about the place
             off_rad = math.remainder(self._course_rad - odometry.yaw_rad, math.tau)
-            speed_mps = config.slow_speed_mps if ahead is None else speed_mps
-            ahead = LineAhead(0.0, off_rad)
+            ahead, speed_mps = LineAhead(0.0, off_rad), config.slow_speed_mps
         end_m = self._end.at_m - self._travelled_m - config.stop_before_end_m
         if not math.isnan(end_m):
             speed_mps = min(speed_mps, config.slow_speed_mps + max(end_m, 0.0))
-        return drive(speed_mps, curvature_pm(ahead, config), config)
-
-    def _holds_course(self) -> bool:
-        if self.state is State.APPROACHING_INTERSECTION:
-            return self._crossing.at_m - self._travelled_m <= self.config.approach_m
-        return self.state is State.LEAVING_INTERSECTION
+        return drive(speed_mps, curvature_pm(ahead, config) + self._drift_pm, config)
 
     def _look_about(self, odometry: Odometry) -> Drive:
         """Turn on the spot: first to the side where the line was last, then to the other, then back."""

@@ -9,6 +9,9 @@ from robotd import Drive
 from robotd_plugins.behaviours.jetbot_route.config import JetBotRouteConfig
 from robotd_plugins.toolkit.line_seen import LineSeen
 
+_DRIFT_ERROR_M = 0.03
+_DRIFT_HEADING_RAD = 0.2
+
 
 @dataclass(frozen=True, slots=True)
 class LineAhead:
@@ -47,6 +50,18 @@ def curvature_pm(ahead: LineAhead, config: JetBotRouteConfig) -> float:
         soft_m *= min(1.0, abs(soft_m) / config.safe_zone_m)
     reach_m = config.reach_m
     return 2.0 * (config.correction_gain * soft_m + config.heading_gain * reach_m * ahead.heading_rad) / reach_m**2
+
+
+def learned_drift_pm(drift_pm: float, ahead: LineAhead, driven_m: float, config: JetBotRouteConfig) -> float:
+    """The pull to one side, as a curvature to steer against, after another stretch along the line.
+
+    Unequal wheels leave a lateral error that never goes; here its integral does away with it. Bounded, and errors that
+    a bend or a bad start explain better teach nothing.
+    """
+    if abs(ahead.left_m) > _DRIFT_ERROR_M or abs(ahead.heading_rad) > _DRIFT_HEADING_RAD:
+        return drift_pm
+    learned = drift_pm + config.drift_gain_pm * driven_m * 2.0 * ahead.left_m / config.reach_m**2
+    return min(max(learned, -config.drift_max_pm), config.drift_max_pm)
 
 
 def drive(speed_mps: float, curvature: float, config: JetBotRouteConfig) -> Drive:

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robotd.world.messages import Bytes2D
 from robotd_plugins.perception.floor_line.bar import Bar, Scene, find_bar
@@ -28,7 +29,7 @@ ROWS = 56
 _WINDOW_ROWS = 21
 _END_MARGIN_ROWS = 3
 _END_LENGTH_MIN = 8
-_END_FLOOR_SHARE = 0.85
+_END_SIDES = 1.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,22 +126,23 @@ def look(bgr: Bytes2D, grid: Grid, config: FloorLineConfig, expected_x: float | 
         grid.row(config.bar_lowest_share),
     )
     bar, why = find_bar(trace, scene)
-    end = _end(trace, share) if bar is None else None
+    end = _end(trace, dark) if bar is None else None
     bends = _bends(trace, grid.width) if bar is None and end is None else 0
     return Look(found, floor_grey, _sentence(bar, why, end, bends), trace, bar, end, bends)
 
 
-def _end(trace: Trace, share: Bytes2D) -> tuple[float, float] | None:
-    """(column, row) of the line's end: enough of it was seen, and floor, not merely less dark, is beyond."""
+def _end(trace: Trace, dark: NDArray[np.bool_]) -> tuple[float, float] | None:
+    """(column, row) of the line's end: enough of it was seen, and floor lies beyond it and well to both sides."""
     last = trace.pieces[-1]
     if trace.bars or trace.clipped or trace.empty < GAP_ROWS or len(trace.pieces) < _END_LENGTH_MIN:
         return None
     if last.row < _END_MARGIN_ROWS + GAP_ROWS:
         return None
-    centre, width = fit(trace.pieces[-_END_LENGTH_MIN:]).at(last.row - 2)
+    centre, _ = fit(trace.pieces[-_END_LENGTH_MIN:]).at(last.row - 2)
+    # glare may split the tape lengthwise: what ends is then only a part of it
+    width = _END_SIDES * max(piece.right - piece.left for piece in trace.pieces[-2 * _END_LENGTH_MIN :])
     low, high = max(0, round(centre - width)), round(centre + width) + 1
-    beyond = share[last.row - GAP_ROWS : last.row - 1, low:high]
-    if float(beyond.mean()) < _END_FLOOR_SHARE * FULL:
+    if dark[last.row - GAP_ROWS : last.row - 1, low:high].any():
         return None
     return last.centre, float(last.row)
 
