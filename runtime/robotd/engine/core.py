@@ -139,7 +139,7 @@ class Core:
         self._manual: Proposal | None = None
         self._driving = True  # so that the first turn writes a stop
         self._written_ns = now_ns
-        self._settled: tuple[Proposal, tuple[int, ...]] | None = None
+        self._settled: tuple[str, Command, list[int]] | None = None
         self._guard_reason = ""
         self._standing = ""
         self._ticks_halted = 0
@@ -495,16 +495,17 @@ class Core:
                 if self._ticks_halted % HALT_EVERY_TICKS == 0:
                     self._base.halt()
             return
-        sequences = tuple([slot.sequence for slot in self._guard_slots])
+        sequences = [slot.sequence for slot in self._guard_slots]
         stale = self._stale_source(now_ns)
-        settled = self._settled
-        if settled == (winner, sequences) and not stale:
+        settled = (winner.by, winner.command, sequences)
+        if settled == self._settled and not stale:
             if tick:  # nothing changed: the heartbeat repeats what was decided
                 self._base.apply(self.command)
                 self._written_ns = now_ns
             return
         guarded = self._guarded(winner, stale, now_ns)
-        self._settled = (winner, sequences) if "acceleration" not in guarded.limited_by else None
+        # a ramp goes on by itself; anything else stays until the wish or a scan changes
+        self._settled = settled if "acceleration" not in guarded.limited_by else None
         self._driving = True
         self._write(guarded.command, winner.by, guarded.limited_by, now_ns)
         if guarded.reason != self._guard_reason:

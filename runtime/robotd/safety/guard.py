@@ -28,6 +28,8 @@ BINS = 72
 """Bearing bins of 5 degrees in which a beam counts as having seen its direction (one bin of spread each side)."""
 RECEDES_M = 1e-3
 """A clearance must shrink by this much before the motion counts as an approach."""
+STILL = 1e-6
+"""What moves slower than this, in m/s and rad/s, stands still."""
 LONGEST_DT_S = 0.1
 """An acceleration ramp never takes credit for more time than this, however long the loop was held up."""
 
@@ -57,12 +59,13 @@ class Sensed:
 
 @dataclass(slots=True)
 class _Coverage:
-    """Bins of one grid of bearings, kept while the sensor hands over the same array."""
+    """Bins of one grid of bearings, and unit vectors (2, n), kept while the sensor hands over the same array."""
 
     angles_rad: Float32s
     yaw_rad: float
     bins: NDArray[np.intp]
     full: NDArray[np.bool_] | None
+    directions: Float64s | None = None
 
 
 class Guard:
@@ -83,7 +86,8 @@ class Guard:
             self.sources = tuple(dict.fromkeys(stop.sources + (slow.sources if slow else ())))
         self._stop_m = stop.margin_m if stop else 0.0
         self._slow_m = slow.margin_m if slow else 0.0
-        self._reach_m = self._braking_m(self._top_mps) + max(self._stop_m, self._slow_m) + 0.05
+        self._widest_m = max(self._stop_m, self._slow_m)
+        self._reach_m = self._braking_m(self._top_mps) + self._widest_m + 0.05
         self._coverage: dict[str, _Coverage] = {}
         self._motion: tuple[Drive, _Motion] | None = None
 
@@ -92,14 +96,11 @@ class Guard:
     def sense(self, topic: str, scan: LidarScan) -> Sensed:
         """What the zones need of one scan; once a scan, however many commands are checked against it."""
         reach = self.robot.radius_m + self._reach_m + math.hypot(scan.x_m, scan.y_m)
+        coverage = self._coverage_of(topic, scan)
         near = np.flatnonzero(scan.ranges_m < reach)
         if near.size:
             ranges = scan.ranges_m[near].astype(np.float64)
-            bearing = scan.angles_rad[near].astype(np.float64)
-            bearing += scan.yaw_rad
-            points = np.empty((2, near.size))
-            np.cos(bearing, out=points[0])
-            np.sin(bearing, out=points[1])
+            points = _directions(coverage, scan, near)
             if ranges.min() < scan.range_min_m:
                 ranges = self._touching(points, ranges, scan)
             points *= ranges
@@ -107,7 +108,7 @@ class Guard:
             points[1] += scan.y_m
         else:
             points = np.empty((2, 0))
-        return Sensed(topic, points, self._seen(topic, scan), scan.x_m, scan.y_m)
+        return Sensed(topic, points, _seen(coverage, scan), scan.x_m, scan.y_m)
 
     def _touching(self, directions: Points, ranges: Float64s, scan: LidarScan) -> Float64s:
         """Ranges in which "below the minimum" became "at the outline": something touches the robot there."""
@@ -117,16 +118,14 @@ class Guard:
             way = np.where(facing > 1e-9, to_edge / facing, np.inf).min(axis=0)
         return np.where(ranges < scan.range_min_m, np.maximum(way, 0.0), ranges)
 
-    def _seen(self, topic: str, scan: LidarScan) -> NDArray[np.bool_] | None:
+    def _coverage_of(self, topic: str, scan: LidarScan) -> _Coverage:
         coverage = self._coverage.get(topic)
         if coverage is None or coverage.angles_rad is not scan.angles_rad or coverage.yaw_rad != scan.yaw_rad:
             bins = _bin(scan.angles_rad + np.float32(scan.yaw_rad))
-            coverage = _Coverage(scan.angles_rad, scan.yaw_rad, bins, _spread(bins))
-            self._coverage[topic] = coverage
-        missing = np.isnan(scan.ranges_m)
-        if not missing.any():
-            return coverage.full
-        return _spread(coverage.bins[~missing])
+            coverage = self._coverage[topic] = _Coverage(scan.angles_rad, scan.yaw_rad, bins, _spread(bins))
+        elif coverage.directions is None:  # the same bearings again: worth a table
+            coverage.directions = _unit_vectors(scan.angles_rad, scan.yaw_rad)
+        return coverage
 
     # ----------------------------------------------------------------------------------------- limiting
 
@@ -167,7 +166,9 @@ class Guard:
         ramped = self._ramp(ranged, self._as_drive(previous) or Drive(), dt_s)
         if ramped is not ranged:
             limited += ("acceleration",)
-        if self.config.zones.off is not None or ramped == Drive():
+        if max(abs(ramped.vx_mps), abs(ramped.vy_mps), abs(ramped.wz_radps)) < STILL:
+            return Guarded(_in_kind(Drive(), steering), limited)
+        if self.config.zones.off is not None:
             return Guarded(_in_kind(ramped, steering), limited)
         if stale:
             return Guarded(_stop_like(command), (*limited, "stale"), f"the stop zone has no fresh {stale}")
@@ -225,6 +226,8 @@ class Guard:
             if not source.points.shape[1]:
                 continue
             clearance = motion.clearance(source.points)
+            if clearance.min() >= self._widest_m:
+                continue
             now = clearance[0]
             approaching = now - RECEDES_M
             stop_hit = (clearance < np.minimum(self._stop_m, approaching)).any(axis=1)
@@ -331,6 +334,25 @@ def _blind_bearing(motion: _Motion, sensed: Sequence[Sensed]) -> float | None:
         return None
     worst = swept[int(unseen.argmax())]
     return math.atan2(float(worst[1]), float(worst[0]))
+
+
+def _directions(coverage: _Coverage, scan: LidarScan, beams: NDArray[np.intp]) -> Float64s:
+    """Unit vectors (2, n) of some beams in base."""
+    if coverage.directions is not None:
+        return coverage.directions[:, beams]
+    return _unit_vectors(scan.angles_rad[beams], scan.yaw_rad)
+
+
+def _unit_vectors(angles_rad: Float32s, yaw_rad: float) -> Float64s:
+    bearing = angles_rad.astype(np.float64) + yaw_rad
+    return np.stack((np.cos(bearing), np.sin(bearing)))
+
+
+def _seen(coverage: _Coverage, scan: LidarScan) -> NDArray[np.bool_] | None:
+    """Bins that this scan saw; None where that is all of them."""
+    if not math.isnan(np.add.reduce(scan.ranges_m)):  # only a beam that was not measured makes the sum nan
+        return coverage.full
+    return _spread(coverage.bins[~np.isnan(scan.ranges_m)])
 
 
 def _bin(bearing_rad: NDArray[np.floating]) -> NDArray[np.intp]:
