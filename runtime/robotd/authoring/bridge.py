@@ -45,6 +45,10 @@ class RuntimeLink(Protocol):
         """Mode, reason for standing still, behaviours and their state, streams with rate and age, last command."""
         ...
 
+    def topics(self) -> tuple[Topic[Message], ...]:
+        """Every stream of this robot that a device or a perceptor fills, with its message type; the same all run long."""
+        ...
+
     def newest(self, topic: Topic[MessageT]) -> MessageT | None:
         """The newest message of a topic, or None."""
         ...

@@ -151,6 +151,9 @@ class RuntimeHandle:
         """The snapshot as plain data for JSON: mode by name, no infinities."""
         return self.snapshot().as_dict()
 
+    def topics(self) -> tuple[Topic[Message], ...]:
+        return tuple(slot.topic for slot in self._core.graph.slots.values() if slot.source)
+
     def newest(self, topic: Topic[MessageT]) -> MessageT | None:
         slot = self._core.graph.slots.get(topic.name)
         message = slot.message if slot is not None else None
