@@ -288,12 +288,12 @@ class BeatingCamera(_Beating, Sensor[StampedConfig, CameraFrame]):
 
 
 class BeatingLidar(_Beating, Sensor[StampedConfig, LidarScan]):
-    """The same room over and over, 450 beams; no ray casting."""
+    """The same room over and over, 450 beams, nothing within reach; no ray casting."""
 
     def _prepare(self) -> None:
         angles = np.linspace(-np.pi, np.pi, 450, endpoint=False)
         self._angles = angles.astype(np.float32)
-        self._ranges = ROOM(angles).astype(np.float32)
+        self._ranges = BoxRoom()(angles).astype(np.float32)
         self._angles.flags.writeable = self._ranges.flags.writeable = False
 
     def message(self, now_ns: int) -> LidarScan:

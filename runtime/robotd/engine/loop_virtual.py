@@ -79,6 +79,18 @@ class _Waiting(PreciseSelector):
     def __init__(self) -> None:
         super().__init__()
         self.wait: Callable[[float | None], Ready] = super().select
+        self.count = len(self.get_map())
+        """How many descriptors are registered."""
+
+    def register(self, fileobj: Any, events: int, data: Any = None) -> selectors.SelectorKey:
+        key = super().register(fileobj, events, data)
+        self.count = len(self.get_map())
+        return key
+
+    def unregister(self, fileobj: Any) -> selectors.SelectorKey:
+        key = super().unregister(fileobj)
+        self.count = len(self.get_map())
+        return key
 
     def select(self, timeout: float | None = None) -> Ready:
         return self.wait(timeout)
@@ -113,7 +125,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         self._woken = False
         self._waiting = _Waiting()
         super().__init__(self._waiting)
-        self._own_descriptors = len(self._waiting.get_map())
+        self._own_descriptors = self._waiting.count
         self._waiting.wait = self._wait
         if pace is not None and not (math.isfinite(pace) and pace > 0.0):
             self.close()
@@ -229,7 +241,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
 
     def _glance(self) -> Ready:
         """What the world has ready, without waiting; no system call where there is no world."""
-        if self._woken or len(self._waiting.get_map()) > self._own_descriptors:
+        if self._woken or self._waiting.count > self._own_descriptors:
             self._woken = False
         elif self._signals:
             wall_ns = time.monotonic_ns()
@@ -257,7 +269,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
 
     def _wait_for_the_world(self) -> Ready:
         """No time to pass: only a descriptor, a signal or a thread can go on."""
-        if self._outstanding or self._signals or len(self._waiting.get_map()) > self._own_descriptors:
+        if self._outstanding or self._signals or self._waiting.count > self._own_descriptors:
             return self._waiting.look(None)
         while self._threads():
             if events := self._waiting.look(_THREAD_LOOK_S):

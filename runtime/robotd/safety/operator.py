@@ -83,7 +83,10 @@ class Lease:
 
 @dataclass(frozen=True, slots=True)
 class OperatorState:
-    """All that the operator knows. `reason`: why the robot stands, as long as the mode lets nothing drive."""
+    """All that the operator knows, and what follows from it, worked out once.
+
+    mode: who may move the robot. reason: why it stands, as long as the mode lets nothing drive; else empty.
+    """
 
     armed: bool = False
     estop: EStop | None = None
@@ -91,27 +94,25 @@ class OperatorState:
     lease: Lease | None = None
     active: frozenset[str] = frozenset()
     why_disarmed: str = "not armed yet"
+    mode: Mode = field(init=False)
+    reason: str = field(init=False)
 
-    @property
-    def mode(self) -> Mode:
-        if self.estop is not None:
-            return Mode.ESTOP
-        if not self.armed:
-            return Mode.DISARMED
-        if self.lease is not None:
-            return Mode.MANUAL
-        return Mode.PAUSED if self.paused_by is not None else Mode.AUTO
+    def __post_init__(self) -> None:
+        mode, reason = self._judged()
+        object.__setattr__(self, "mode", mode)
+        object.__setattr__(self, "reason", reason)
 
-    @property
-    def reason(self) -> str:
+    def _judged(self) -> tuple[Mode, str]:
         if self.estop is not None:
             said = f": {self.estop.reason}" if self.estop.reason else ""
-            return f"e-stop by {self.estop.by}{said}; reset it, then arm"
+            return Mode.ESTOP, f"e-stop by {self.estop.by}{said}; reset it, then arm"
         if not self.armed:
-            return f"disarmed: {self.why_disarmed}"
+            return Mode.DISARMED, f"disarmed: {self.why_disarmed}"
         if self.lease is not None:
-            return f"driven by hand by {self.lease.by}"
-        return f"paused by {self.paused_by}" if self.paused_by is not None else ""
+            return Mode.MANUAL, f"driven by hand by {self.lease.by}"
+        if self.paused_by is not None:
+            return Mode.PAUSED, f"paused by {self.paused_by}"
+        return Mode.AUTO, ""
 
 
 @dataclass(frozen=True, slots=True)
