@@ -1,4 +1,4 @@
-"""The simulated camera: floor, tape, gloss and room as a wide-angle camera on the robot sees them."""
+"""The simulated camera: floor, tape, cards, people and room as a wide-angle camera on the robot sees them."""
 
 from __future__ import annotations
 
@@ -7,18 +7,21 @@ import math
 import numpy as np
 from pydantic import Field, model_validator
 
-from robotd.authoring.config import Config
 from robotd.authoring.device import DeviceContext, DeviceMisconfigured, Sensor
 from robotd.world.clock import ns
-from robotd.world.messages import Bytes2D, CameraFrame
+from robotd.world.messages import Bytes2D, CameraFrame, Float64s
 from robotd.world.robot import Mount
 from robotd_devices.sim.lens import FloorCamera, Lens
-from robotd_devices.sim.render import Look, Renderer
+from robotd_devices.sim.look import Look
+from robotd_devices.sim.render import Renderer
 from robotd_devices.sim.ticks import Ticker
 from robotd_devices.sim.world import FlatWorld, flat_world
 
+_MOST_VIEWS = 4
+"""Mixed for the blur of one exposure; beyond it the blur is a little uneven."""
 
-class SimCameraConfig(Config):
+
+class SimCameraConfig(Look):
     """A simulated camera; the defaults resemble a JetBot's wide-angle one over white vinyl with black tape."""
 
     rate_hz: float = Field(default=20.0, gt=0.0, le=200.0)
@@ -35,24 +38,8 @@ class SimCameraConfig(Config):
     """From the middle of the exposure, which is the stamp, to publication."""
     frame_loss: float = Field(default=0.0, ge=0.0, lt=1.0)
     """Share of pictures that never arrive; their numbers are missing in `sequence`."""
-    texel_m: float = Field(default=0.002, ge=0.0005, le=0.02)
-    """Size of the drawn floor's smallest part."""
-    tape_grey: float = Field(default=82.0, ge=0.0, le=255.0)
-    """Grey level of tape in full light."""
-    floor_grey: float = Field(default=200.0, ge=0.0, le=255.0)
-    """Grey level of floor in full light."""
-    grain_std: float = Field(default=6.0, ge=0.0, le=60.0)
-    """The weave of floor and tape, standard deviation in grey levels."""
-    patches_std: float = Field(default=4.0, ge=0.0, le=60.0)
-    """Slow unevenness of the floor, standard deviation in grey levels."""
-    gloss: float = Field(default=40.0, ge=0.0, le=200.0)
-    """Strongest streak of a lamp mirrored in the floor, in grey levels; 0 is a dull floor."""
-    vignette: float = Field(default=0.32, ge=0.0, le=0.9)
-    """Share of light lost in the corners."""
-    brightness: float = Field(default=1.0, gt=0.0, le=4.0)
-    """Factor on all light."""
-    noise_std: float = Field(default=3.0, ge=0.0, le=60.0)
-    """Sensor noise, standard deviation in grey levels."""
+    exposure_s: float = Field(default=0.01, ge=0.0, le=0.2)
+    """How long light is gathered: what moves in that time is blurred. The stamp is its middle."""
 
     @model_validator(mode="after")
     def _lens_is_possible(self) -> SimCameraConfig:
@@ -65,21 +52,11 @@ class SimCameraConfig(Config):
 
     def look(self) -> Look:
         """The values that say what the picture looks like."""
-        return Look(
-            tape=self.tape_grey,
-            floor=self.floor_grey,
-            grain_std=self.grain_std,
-            patches_std=self.patches_std,
-            texel_m=self.texel_m,
-            gloss=self.gloss,
-            vignette=self.vignette,
-            brightness=self.brightness,
-            noise_std=self.noise_std,
-        )
+        return self
 
 
 class SimCamera(Sensor[SimCameraConfig, CameraFrame]):
-    """Pictures of the world's floor from the true pose at the stamp.
+    """Pictures of the world from the true pose at the stamp, with motion blur over the exposure around it.
 
     Height, pitch and place come from the robot's mount of this device; a camera at height 0 cannot see the floor
     and raises DeviceMisconfigured.
@@ -92,6 +69,8 @@ class SimCamera(Sensor[SimCameraConfig, CameraFrame]):
         self._rng = np.random.default_rng(0)
         self._sequence = 0
         self._latency_ns = ns(config.latency_s)
+        self._exposure_ns = ns(config.exposure_s)
+        self._focal_px = config.lens().focal_px[0]
         self._ticker = Ticker(1.0 / config.rate_hz, self._show, delay_s=config.latency_s)
 
     @classmethod
@@ -108,7 +87,10 @@ class SimCamera(Sensor[SimCameraConfig, CameraFrame]):
         check_mount(self.context.name, mount)
         self._rng = world.generator(self.context.name)
         camera = FloorCamera(self.config.lens(), mount)
-        self._renderer = Renderer(camera, world.map, self.config.look(), self._rng)
+        try:
+            self._renderer = Renderer(camera, world.map, self.config.look(), self._rng, world.scene)
+        except ValueError as error:
+            raise DeviceMisconfigured(f"map {world.map.name}: {error}") from error
         self._world = world
         self._sequence = 0
         self._ticker.start()
@@ -118,21 +100,38 @@ class SimCamera(Sensor[SimCameraConfig, CameraFrame]):
         self._world = self._renderer = None
 
     def picture(self, pose: tuple[float, float, float]) -> Bytes2D:
-        """What the camera sees with the base at `pose` in the map, uint8 (height, width, 3); only while open."""
-        if self._renderer is None:
+        """What the camera sees now if the base rests at `pose` in map, uint8 (height, width, 3); only while open."""
+        if self._renderer is None or self._world is None:
             raise RuntimeError(f"{self.context.name} is not open")
-        return self._renderer.picture(pose)
+        return self._renderer.picture(pose, self._world.second(self.context.clock.now_ns()))
 
     def _show(self) -> None:
-        if self._world is None:
+        if self._world is None or self._renderer is None:
             return
         stamp_ns = self.context.clock.now_ns() - self._latency_ns
         self._sequence += 1
         if self.config.frame_loss > 0.0 and self._rng.random() < self.config.frame_loss:
             return
-        x_m, y_m, yaw_rad = self._world.poses(np.array([stamp_ns]))[0]
-        bgr = self.picture((float(x_m), float(y_m), math.remainder(float(yaw_rad), math.tau)))
+        half_ns = self._exposure_ns // 2
+        # where the latency is shorter than half the exposure, the rest of it is as the last instant
+        begin, middle, end = self._world.poses(np.array([stamp_ns - half_ns, stamp_ns, stamp_ns + half_ns]))
+        views = self._views(begin, end)
+        shares = (np.arange(views) + 0.5) / views
+        during = [_wrapped(begin + share * (end - begin)) for share in shares] if views > 1 else ()
+        bgr = self._renderer.picture(_wrapped(middle), self._world.second(stamp_ns), during)
         self.publish(CameraFrame(stamp_ns, bgr, self._sequence, self.context.name))
+
+    def _views(self, begin: Float64s, end: Float64s) -> int:
+        """How many views the blur of an exposure needs: about one for each pixel that the picture moves."""
+        if self._exposure_ns == 0:
+            return 1
+        moved_m = math.hypot(*(end - begin)[:2])
+        moved_rad = abs(float(end[2] - begin[2])) + moved_m / self.context.mount.z_m / 2.0
+        return min(_MOST_VIEWS, max(1, math.ceil(moved_rad * self._focal_px - 0.25)))
+
+
+def _wrapped(pose: Float64s) -> tuple[float, float, float]:
+    return float(pose[0]), float(pose[1]), math.remainder(float(pose[2]), math.tau)
 
 
 def check_mount(name: str, mount: Mount) -> None:

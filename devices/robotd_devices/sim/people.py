@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Literal
 
@@ -42,6 +42,12 @@ class Walk:
     points_m: Float64s
     repeats: bool = False
     from_s: float = 0.0
+    along_m: Float64s = field(init=False)
+    """Length of the way up to each of its points, (k,)."""
+
+    def __post_init__(self) -> None:
+        steps = np.hypot(*np.diff(self.points_m, axis=0).T)
+        object.__setattr__(self, "along_m", np.concatenate(([0.0], np.cumsum(steps))))
 
     def places_m(self, when_s: Float64s) -> Float64s:
         """Where they are, float64 (n, 2)."""
@@ -50,10 +56,9 @@ class Walk:
 
     def walked_m(self, when_s: Float64s) -> Float64s:
         """Length of the way so far, float64 (n,)."""
-        along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(self.points_m, axis=0).T))))
         since = self._since(when_s)
         rounds = np.floor(np.maximum(when_s - self.from_s, 0.0) / self.times_s[-1]) if self._goes_round else 0.0
-        walked: Float64s = np.interp(since, self.times_s, along) + rounds * along[-1]
+        walked: Float64s = np.interp(since, self.times_s, self.along_m) + rounds * self.along_m[-1]
         return walked
 
     @property
@@ -61,7 +66,7 @@ class Walk:
         """The fastest that they ever are."""
         if len(self.times_s) < 2:
             return 0.0
-        return float((np.hypot(*np.diff(self.points_m, axis=0).T) / np.diff(self.times_s)).max())
+        return float((np.diff(self.along_m) / np.diff(self.times_s)).max())
 
     @property
     def _goes_round(self) -> bool:

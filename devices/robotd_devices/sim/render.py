@@ -1,17 +1,24 @@
-"""One picture of the floor: a lookup table that is computed once, turned and shifted for each frame."""
+"""One picture of the world: a table that is computed once, turned and shifted for each frame, and what stands on it."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from robotd.world.messages import Bytes2D, Float64s
+from robotd_devices.sim.billboards import Billboards
 from robotd_devices.sim.floor import LEVELS, FloorLook, draw_floor
 from robotd_devices.sim.lens import FloorCamera
+from robotd_devices.sim.light import Shadows, drawn_drift
+from robotd_devices.sim.look import Look
 from robotd_devices.sim.maps import WorldMap
 from robotd_devices.sim.room import COLUMNS_PER_TURN, draw_room
+from robotd_devices.sim.scene import Scene
+from robotd_devices.sim.sensor import Sensor
+from robotd_devices.sim.structures import Structures
 
 _FAR_M = 12.0
 """Floor beyond this is not told from the horizon."""
@@ -19,27 +26,12 @@ _FAR_M = 12.0
 _COARSE = 4
 """Room and gloss are soft: they are looked up for every fourth pixel in each direction."""
 
-_NOISE_SPARE_PX = 61
-_NOISE_ZERO = 128
+_HALF = 2
+"""The soft edges of shadows are looked up for every second one."""
 
 _TINT_TAPE = (0.87, 0.92)
 _TINT_FLOOR = (0.957, 0.922)
 """Blue and green as shares of red, the brightest channel; both measured on real pictures of this floor."""
-
-
-@dataclass(frozen=True, slots=True)
-class Look:
-    """Light, materials and sensor, as `SimCameraConfig` explains them."""
-
-    tape: float
-    floor: float
-    grain_std: float
-    patches_std: float
-    texel_m: float
-    gloss: float
-    vignette: float
-    brightness: float
-    noise_std: float
 
 
 class Renderer:
@@ -47,38 +39,112 @@ class Renderer:
 
     Each pixel's floor point in base never changes, lens and all; so that a frame is one linear map of that table (by
     the pose) and one lookup in the floor's atlas. The copy of the floor that a pixel reads is chosen once, by how much
-    floor the pixel covers. Room and gloss depend on direction only: their table is shifted by the heading.
-    Everything random follows from `rng`: the floor when it is drawn, then the noise picture by picture.
+    floor the pixel covers. Room and gloss depend on direction only: their table is shifted by the heading. Over that
+    come walls and posts, then cards and people, then light, sensor and JPEG.
+    Everything random follows from `rng`: floor, room and light when they are drawn, then the noise picture by picture.
+    `scene`: who walks and what comes and goes; by default that of the map. Raises ValueError for a picture file of a
+    card or a person that cannot be read.
     """
 
-    def __init__(self, camera: FloorCamera, world: WorldMap, look: Look, rng: np.random.Generator) -> None:
+    def __init__(
+        self,
+        camera: FloorCamera,
+        world: WorldMap,
+        look: Look,
+        rng: np.random.Generator,
+        scene: Scene | None = None,
+    ) -> None:
         self._look = look
-        self._rng = rng
+        # each part has random numbers of its own, so that a larger floor changes no lamp
+        for_people, for_floor, for_room, for_light, for_sensor = rng.spawn(5)
         self._size = (camera.lens.width_px, camera.lens.height_px)
+        self._focal_px = camera.lens.focal_px[0]
+        self._scene = scene if scene is not None else Scene(world, for_people)
         self._atlas = draw_floor(
-            world, FloorLook(look.tape, look.floor, look.grain_std, look.patches_std), look.texel_m, rng
+            world, FloorLook(look.tape_grey, look.floor_grey, look.grain_std, look.patches_std), look.texel_m, for_floor
         )
-        self._room = draw_room(look.gloss, rng)
+        self._room = draw_room(look.gloss, for_room)
         self._prepare_floor(camera)
         self._prepare_room(camera)
-        self._light = self._lit()
-        self._noise = self._make_noise()
-        self._tints = _tints(look.tape, look.floor)
+        self._tints = _tints(look.tape_grey, look.floor_grey)
+        rays_base = camera.rays_base(_grid(*self._size, 1)).reshape(self._size[1], self._size[0], 3)
+        self._structures = Structures(camera, rays_base, world.structure_height_m)
+        self._billboards = Billboards(camera, rays_base, world.cards, self._scene.people)
+        coarse = camera.floor_m(_grid(*self._size, _HALF)).astype(np.float32)
+        coarse = coarse.reshape(math.ceil(self._size[1] / _HALF), math.ceil(self._size[0] / _HALF), 2)
+        self._shadows = Shadows(look, world.bounds_m(), coarse[self._top // _HALF :], for_light)
+        self._drifts = [drawn_drift(look.light_drift_s, for_light) for _ in range(2)]
+        self._sensor = Sensor(look, self._size, for_sensor)
 
-    def picture(self, pose: tuple[float, float, float]) -> Bytes2D:
-        """uint8 (height, width, 3), a new array, blue green red."""
+    def picture(
+        self,
+        pose: tuple[float, float, float],
+        when_s: float = 0.0,
+        during: Sequence[tuple[float, float, float]] = (),
+    ) -> Bytes2D:
+        """uint8 (height, width, 3), a new array, blue green red.
+
+        pose: base in map in the middle of the exposure, at `when_s` of the world. during: poses at equal times over the
+        exposure, whose views are mixed; none: a picture without motion blur.
+        """
         import cv2
 
-        x_m, y_m, yaw_rad = pose
+        poses = during if len(during) > 1 else (pose,)
+        grey = cv2.add(self._floor_lit(pose, when_s, poses), self._room_seen(pose[2]))
+        blue, green = (cv2.LUT(grey, tint) for tint in self._tints)
+        bgr = np.asarray(cv2.merge([blue, green, grey]), dtype=np.uint8)
+        self._stand(bgr, pose, when_s, poses)
+        brightness = self._look.brightness * (1.0 + self._look.light_drift * self._drifts[0].at(when_s))
+        return self._sensor.picture(bgr, brightness, self._look.tint_drift * self._drifts[1].at(when_s))
+
+    def _floor_lit(
+        self, pose: tuple[float, float, float], when_s: float, during: Sequence[tuple[float, float, float]]
+    ) -> Bytes2D:
+        """The floor and its shadows, uint8 (height, width), black elsewhere."""
+        import cv2
+
         grey = np.zeros(self._size[::-1], dtype=np.uint8)
         if self._top < self._size[1]:
-            grey[self._top :] = self._floor_seen(x_m, y_m, yaw_rad)
-        grey = cv2.add(grey, self._room_seen(yaw_rad))
-        grey = cv2.multiply(grey, self._light, scale=self._look.brightness / 255.0)
-        if self._look.noise_std > 0.0:
-            grey = cv2.addWeighted(grey, 1.0, self._some_noise(), 1.0, -_NOISE_ZERO)
-        blue, green = (cv2.LUT(grey, tint) for tint in self._tints)
-        return np.asarray(cv2.merge([blue, green, grey]), dtype=np.uint8)
+            floor: Any = self._floor_seen(*during[0])
+            for number, further in enumerate(during[1:], start=2):
+                floor = cv2.addWeighted(floor, 1.0 - 1.0 / number, self._floor_seen(*further), 1.0 / number, 0.0)
+            shade = self._shade(pose, when_s)
+            grey[self._top :] = floor if shade is None else cv2.multiply(floor, shade, scale=1.0 / 255.0)
+        return grey
+
+    def _stand(
+        self,
+        bgr: Bytes2D,
+        pose: tuple[float, float, float],
+        when_s: float,
+        during: Sequence[tuple[float, float, float]],
+    ) -> None:
+        """Draws what stands on the floor in place: seen from one pose, and blurred as far as the camera turns."""
+        import cv2
+
+        bare = bgr.copy() if len(during) > 1 else None
+        hidden = self._structures.draw(bgr, pose, self._scene.standing(when_s, math.inf))
+        self._billboards.draw(bgr, pose, when_s, hidden)
+        if bare is None:
+            return
+        # a turn moves what is far by the same in the whole picture, a level lens given
+        turn_rad = abs(math.remainder(during[-1][2] - during[0][2], math.tau)) * len(during) / (len(during) - 1)
+        width_px = round(turn_rad * self._focal_px)
+        if width_px > 1:
+            bare_still = cv2.inRange(cv2.absdiff(bgr, bare), (0, 0, 0), (0, 0, 0))
+            stands = cv2.blur(cv2.bitwise_not(bare_still), (width_px, 1))
+            cv2.copyTo(cv2.blur(bgr, (width_px, 1)), stands, bgr)
+
+    def _shade(self, pose: tuple[float, float, float], when_s: float) -> Bytes2D | None:
+        """Light that shadows leave on the rows that show floor; None where all of it is left."""
+        import cv2
+
+        light = self._shadows.light(pose, when_s)
+        if light is None:
+            return None
+        first = self._top - self._top // _HALF * _HALF
+        whole = cv2.resize(light, (light.shape[1] * _HALF, light.shape[0] * _HALF), interpolation=cv2.INTER_LINEAR)
+        return np.ascontiguousarray(whole[first : first + self._size[1] - self._top, : self._size[0]])
 
     # ------------------------------------------------------------------------------------------ floor
 
@@ -120,7 +186,7 @@ class Renderer:
         seen = cv2.remap(atlas.grey, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return np.asarray(seen, dtype=np.uint8)
 
-    # ------------------------------------------------------------------------------- room, light, noise
+    # ------------------------------------------------------------------------------------------- room
 
     def _prepare_room(self, camera: FloorCamera) -> None:
         width, height = self._size
@@ -140,25 +206,6 @@ class Renderer:
         )
         seen = cv2.resize(soft, self._size, interpolation=cv2.INTER_LINEAR).astype(np.uint8)
         return np.asarray(cv2.min(seen, self._room_cap), dtype=np.uint8)
-
-    def _lit(self) -> Bytes2D:
-        """Loss of light towards the corners, 255 = none."""
-        width, height = self._size
-        across = (np.arange(width) - (width - 1) / 2.0) / (width / 2.0)
-        down = (np.arange(height) - (height - 1) / 2.0) / (height / 2.0)
-        loss = self._look.vignette * (across[None, :] ** 2 + down[:, None] ** 2) / 2.0
-        return np.asarray(np.round(255.0 * (1.0 - loss)), dtype=np.uint8)
-
-    def _make_noise(self) -> Bytes2D:
-        width, height = self._size
-        shape = (height + _NOISE_SPARE_PX, width + _NOISE_SPARE_PX)
-        noise = self._look.noise_std * self._rng.standard_normal(shape, dtype=np.float32)
-        return np.asarray(np.clip(np.round(noise + _NOISE_ZERO), 0, 255), dtype=np.uint8)
-
-    def _some_noise(self) -> Bytes2D:
-        """A stretch of one larger noise picture, at a place drawn anew for each frame."""
-        down, right = self._rng.integers(0, _NOISE_SPARE_PX + 1, 2).tolist()
-        return self._noise[down : down + self._size[1], right : right + self._size[0]]
 
 
 def _grid(width: int, height: int, step: int) -> Float64s:

@@ -28,6 +28,10 @@ CLEAN: dict[str, Any] = {
     "vignette": 0.0,
     "noise_std": 0.0,
     "brightness": 1.0,
+    "light_drift": 0.0,
+    "tint_drift": 0.0,
+    "shadows_per_m2": 0.0,
+    "jpeg_quality": None,
 }
 WIDE = Lens(320, 240, 2.1)
 LENSES = [
@@ -301,7 +305,7 @@ def test_lost_frames_leave_gaps_in_the_numbers(rig: Any) -> None:
 
 def test_the_picture_is_that_of_the_stamp_and_not_of_its_arrival(rig: Any) -> None:
     pictures: dict[int, Any] = {}
-    values = {**CLEAN, "latency_s": 0.045}
+    values = {**CLEAN, "latency_s": 0.045, "exposure_s": 0.0}
 
     def look(run: Any) -> None:
         pictures[0] = run.open["camera"].picture(run.world.pose())
