@@ -18,7 +18,7 @@ from robotd.engine.codec import RecordError, encode
 from robotd.engine.journal import FORMAT, RunJournal
 from robotd.engine.parts import Parts
 from robotd.engine.record_file import Entry, RecordWriter, read_record
-from robotd.engine.replay import platform_notes, replay, same_arithmetic
+from robotd.engine.replay import platform_notes, replay, same_arithmetic, turns
 from robotd.safety.operator import EStop
 from robotd.world.messages import Applied
 
@@ -148,7 +148,9 @@ def test_drops_end_what_can_be_compared_and_the_rest_is_counted(path: Path) -> N
             return replace(entry, kind="dropped", topic="", payload=encode(told))
         return None if 100 <= entry.sequence <= 103 else entry
 
-    report = again(rewrite(path, gap), rich())
+    changed = rewrite(path, gap)
+    assert [turn.broken != "" for turn in turns(read_record(changed))] == [False] * 100 + [True]
+    report = again(changed, rich())
     assert report.first_difference is None
     before = [e for e in read_record(path) if e.kind == "command" and e.sequence < 100]
     after = [e for e in read_record(path) if e.kind == "command" and e.sequence > 103]

@@ -23,7 +23,7 @@ from recorded import (
     record_real,
     rich,
 )
-from small_robot import FakeBase, S, ScriptConfig
+from small_robot import OFF, FakeBase, S, ScriptConfig
 
 from robotd import Drive, LidarScan, Odometry, Target
 from robotd.authoring.explain import Explanation
@@ -96,6 +96,10 @@ RUNS: dict[str, tuple[Parts, tuple[Event, ...]]] = {
     ),
     "a goal takes too long": (rich(timeout_s=1.1), ()),
     "lidar silent: inputs expire, behaviours are blind": (rich(lidar=ScriptConfig(silent_after_s=1.5)), ()),
+    "lidar silent, and no zones that stop the rest": (
+        replace(rich(lidar=ScriptConfig(silent_after_s=1.5)), guard=OFF),
+        (),
+    ),
     "lidar lost and back": (rich(lidar=ScriptConfig(lost_at_s=1.0, back_after_s=0.7)), (asks(2.5, Arm("me")),)),
     "needed odometry falls silent": (plain(silent_after_s=1.5), ()),
     "odometry lost and back": (plain(lost_at_s=1.2, back_after_s=0.5), (asks(2.2, Arm("me")),)),
@@ -230,7 +234,10 @@ def test_a_run_on_the_real_loop_comes_out_again(tmp_path: Path) -> None:
     report = again(path, parts)
     assert report.first_difference is None, str(report.first_difference)
     assert report.compared == len(written) > 10
-    assert {"offloaded", "perceived", "timer"} <= {entry.kind for entry in read_record(path)}
+    entries = list(read_record(path))
+    assert {"offloaded", "perceived", "timer"} <= {entry.kind for entry in entries}
+    instants = [entry.now_ns for entry in entries]
+    assert instants == sorted(instants) and instants[-1] - instants[0] < S
 
 
 # ------------------------------------------------------------------------------------------------- law

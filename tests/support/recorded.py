@@ -98,7 +98,7 @@ class Bright(Perceptor[NoConfig, SeesFrame, Odometry]):
 
 
 class Slow(Perceptor[NoConfig, SeesScan, Target]):
-    """Offloaded."""
+    """Offloaded; stamps its output with the present, which makes nothing fresher."""
 
     offload: ClassVar[bool] = True
     sim_latency_s: ClassVar[float] = 0.13
@@ -106,7 +106,7 @@ class Slow(Perceptor[NoConfig, SeesScan, Target]):
 
     def step(self, seen: SeesScan) -> Target | None:
         self._count += 1
-        return None if self._count % 4 == 0 else Target(seen.scan.stamp_ns, 0.02 * self._count)
+        return None if self._count % 4 == 0 else Target(seen.now_ns, 0.02 * self._count)
 
 
 class GainConfig(Config):
@@ -150,13 +150,14 @@ class Tour(Sequence[NoConfig, SeesScan, TourGoal]):
 
 class OnTime(View, hz=7):
     scan: LidarScan | None = latest(within_s=0.2)
+    slow: Target | None = latest(NEAR, within_s=0.5)
 
 
 class Idle(Behaviour[NoConfig, OnTime]):
     """Drives when nothing else does; its view steps on time and expires."""
 
     def step(self, seen: OnTime) -> StepResult:
-        return Drive(0.05) if seen.scan is not None else Drive(0.0, 0.1)
+        return Drive(0.05 if seen.scan is not None else 0.0, 0.1 if seen.slow is not None else 0.2)
 
 
 class Breaks(Behaviour[NoConfig, SeesScan]):
