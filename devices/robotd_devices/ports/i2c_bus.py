@@ -12,7 +12,9 @@ from robotd.authoring.device import DeviceMisconfigured, DeviceUnavailable
 GENERAL_CALL = 0x00
 """The address that all chips hear."""
 
-NO_ANSWER = (errno.EREMOTEIO, errno.ENXIO)
+EREMOTEIO = 121
+"""Linux's number; other systems have no such error."""
+NO_ANSWER = (EREMOTEIO, errno.ENXIO)
 """What Linux reports where no chip acknowledges; which of the two depends on the adapter."""
 
 

@@ -9,12 +9,12 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Literal, NamedTuple, Protocol, get_args
 
-from robotd_devices.ports.i2c_bus import GENERAL_CALL, I2cWrite
+from robotd_devices.ports.i2c_bus import EREMOTEIO, GENERAL_CALL, I2cWrite
 
 BusFault = Literal["nack", "stuck", "arbitration"]
 BUS_FAULTS: tuple[BusFault, ...] = get_args(BusFault)
 
-_ERRNO: dict[BusFault, int] = {"nack": errno.EREMOTEIO, "stuck": errno.ETIMEDOUT, "arbitration": errno.EAGAIN}
+_ERRNO: dict[BusFault, int] = {"nack": EREMOTEIO, "stuck": errno.ETIMEDOUT, "arbitration": errno.EAGAIN}
 _BITS_PER_BYTE = 9
 
 
@@ -95,7 +95,7 @@ class FakeI2cBus:
             number = self._failing(address)
             hearing = [chip for chip in self.chips if chip.answers(address)]
             if not number and not hearing:
-                number = errno.EREMOTEIO
+                number = EREMOTEIO
             self.log.append(Transaction(self._clock(), address, data, count, number))
             if number:
                 raise OSError(number, os.strerror(number))

@@ -8,6 +8,7 @@ import pytest
 
 from robotd_devices.motor import pca9685
 from robotd_devices.motor.pca9685_fake import BridgeFake, Pca9685Fake
+from robotd_devices.ports.i2c_bus import EREMOTEIO
 from robotd_devices.ports.i2c_fake import FakeI2cBus, SmbusStub
 
 ADDRESS = 0x60
@@ -108,8 +109,9 @@ def test_registers(act: Callable[[Board], object], register: int, expected: list
 def test_the_all_call_address_is_silent_without_allcall() -> None:
     board = Board()
     board.write(0x00, 0x10)
-    with pytest.raises(OSError, match="Remote I/O"):
+    with pytest.raises(OSError) as raised:
         board.bus.write(0x70, 0x01, b"\x0c")
+    assert raised.value.errno == EREMOTEIO
 
 
 def test_full_off_wins_over_full_on_and_sleep_over_both() -> None:
