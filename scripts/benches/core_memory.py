@@ -52,7 +52,7 @@ def measure(ctx: Context) -> None:
 
 
 def _resident_mb(bridges: str) -> float:
-    """VmRSS in MB (10^6 bytes) after the robot has driven for a few seconds."""
+    """VmRSS in MB (2^20 bytes, as ps and top count) after the robot has driven for a few seconds."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         _install(folder / "site")
@@ -81,7 +81,7 @@ def _once_driving(process: subprocess.Popen[bytes], bus: FakeI2cBus) -> float:
     time.sleep(_SETTLE_S)
     for line in Path(f"/proc/{process.pid}/status").read_text().splitlines():
         if line.startswith("VmRSS:"):
-            return int(line.split()[1]) * 1024 / 1e6
+            return int(line.split()[1]) / 1024.0
     raise RuntimeError("this system does not tell a process's resident memory")
 
 

@@ -197,10 +197,10 @@ MEMBER = Account("mai", frozenset({"mai", "dialout"}), frozenset({"dialout"}))
         ),
         (
             NoConfig(),
-            FakeProbes(loading=ModuleNotFoundError("No module named 'smbus2'", name="smbus2")),
+            FakeProbes(loading=ModuleNotFoundError("No module named 'serialx'", name="serialx")),
             69,
-            "No module named 'smbus2'",
-            "pip install 'robotd[i2c]'",
+            "No module named 'serialx'",
+            "pip install 'robotd[serialx]'",
         ),
         (NoConfig(), FakeProbes(loading=FileNotFoundError("no model m.onnx")), 69, "no model m.onnx", "robotd plugins"),
     ],
@@ -319,7 +319,7 @@ def test_satisfies(version: str, wanted: str, holds: bool) -> None:
     [
         (None, 0, ""),
         (ModuleNotFoundError("No module named 'cv2'", name="cv2"), 69, "pip install cv2"),
-        (ModuleNotFoundError("No module named 'smbus2'", name="smbus2.core"), 69, "pip install 'robotd[i2c]'"),
+        (ModuleNotFoundError("No module named 'serialx'", name="serialx.core"), 69, "pip install 'robotd[serialx]'"),
         (AttributeError("no class Ld19"), 69, "`robotd plugins` says which one it is"),
         (SyntaxError(), 69, "install its distribution again"),
     ],

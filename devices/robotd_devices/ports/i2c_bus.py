@@ -53,14 +53,9 @@ def bus_path(bus: int | str) -> str:
 
 
 def load_bus(bus: int | str) -> None:
-    """The import that a bus needs, for a device's `load`. Raises ModuleNotFoundError naming what to install."""
+    """The import that a bus needs, for a device's `load`."""
     if not _is_socket(bus_path(bus)):
-        try:
-            import smbus2  # noqa: F401  # the import is the work
-        except ModuleNotFoundError as error:
-            raise ModuleNotFoundError(
-                "I2C needs the package smbus2: pip install 'robotd[i2c]'", name="smbus2"
-            ) from error
+        import smbus2  # noqa: F401  # the import is the work
 
 
 def open_bus(bus: int | str) -> I2cBus:

@@ -116,7 +116,7 @@ class Core:
         self.operator = OperatorState()
         self.command: Command = STOP
         self.limited_by: tuple[str, ...] = ()
-        self.verdict = Verdict(None, (), "not started")
+        self.verdict = Verdict(None, (), self.operator.reason)
         self.turns = 0
         self.explain_until_ns = 0
         self.on_event: list[Callable[[Event], None]] = []

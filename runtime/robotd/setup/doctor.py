@@ -30,7 +30,7 @@ RIVALS: Mapping[str, tuple[str, str]] = {
     "serial": ("pyserial", "both install a module named serial; only that of pyserial can open a port"),
 }
 """Distributions that must not stand beside one of ours: name to (ours, why)."""
-EXTRAS: Mapping[str, str] = {"smbus2": "i2c", "serialx": "serialx", "matplotlib": "plot"}
+EXTRAS: Mapping[str, str] = {"serialx": "serialx", "matplotlib": "plot"}
 """Modules that come with an extra of robotd."""
 PICTURES = (".jpg", ".jpeg", ".png", ".bmp", ".ppm", ".webp")
 
@@ -218,7 +218,7 @@ def needs(config: Config) -> list[Need]:
             found.append(Need("serial port", text, key))
         elif key == "bus":
             found.append(Need("I2C bus", f"/dev/i2c-{text}" if text.isdigit() else text, key))
-        elif key == "source":
+        elif key == "source" and " ! " not in text:  # a pipeline names its own source, in its own words
             kind: NeedKind = "network camera" if urlsplit(text).scheme in _URL_PORTS else "camera"
             found.append(Need(kind, f"/dev/video{text}" if text.isdigit() else text, key))
         elif any(isinstance(mark, FileKey) and not mark.shelf for mark in about.metadata):
