@@ -153,6 +153,14 @@ def _replay_arguments(parser: argparse.ArgumentParser) -> None:
     _common(parser)
 
 
+def _plot_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("file", metavar="FILE", type=Path, help="a recording that --record wrote")
+    parser.add_argument(
+        "-o", dest="out", metavar="PICTURE", type=Path, help=".png, .svg or .pdf (default: FILE with .png)"
+    )
+    _common(parser)
+
+
 # ------------------------------------------------------------------------------------------- commands
 
 
@@ -263,6 +271,22 @@ def _replay_lines(report: ReplayReport) -> list[str]:
     return lines + [str(note) for note in report.notes]
 
 
+def _plot(args: Args) -> int:
+    if not args.file.is_file():
+        raise Usage(f"robotd plot: there is no file {args.file}")
+    from robotd.engine.codec import RecordError
+    from robotd.setup.plot import SUFFIXES, plot_file
+
+    out: Path = args.out if args.out is not None else args.file.with_suffix(".png")
+    if out.suffix.lower() not in SUFFIXES:
+        raise Usage(f"robotd plot -o {out}: expected a name that ends in {', '.join(SUFFIXES)}")
+    try:
+        plot_file(args.file, out)
+    except RecordError as error:
+        raise Usage(f"robotd plot: {error}") from error
+    return _print([f"wrote {out}"])
+
+
 COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None], Callable[[Args], int]]] = {
     "check": ("read a config and print all its errors", _check_arguments, _check),
     "schema": ("print the JSON Schema of configs, for editors", _common, _schema),
@@ -270,6 +294,7 @@ COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None], Callab
     "doctor": ("look for what keeps a robot from working, and say how to mend it", _doctor_arguments, _doctor),
     "new": (f"write a new plugin: {', '.join(KINDS)}", _new_arguments, _new),
     "replay": ("run a recording again and compare the commands", _replay_arguments, _replay),
+    "plot": ("draw a recording as one picture", _plot_arguments, _plot),
 }
 
 
@@ -322,6 +347,7 @@ def judge(error: BaseException) -> tuple[int, str]:
     """Exit code and sentence for an error that ended a command; of a group, its worst member decides."""
     from robotd.authoring.device import DeviceError, DeviceMisconfigured
     from robotd.engine.devices import Unavailable
+    from robotd.setup.plot import MissingExtra
     from robotd.setup.problems import ConfigError
     from robotd.setup.scaffold import ScaffoldError
 
@@ -334,6 +360,8 @@ def judge(error: BaseException) -> tuple[int, str]:
         case ConfigError() | DeviceMisconfigured():
             forbidden = isinstance(error.__cause__, PermissionError)
             return PERMISSION if forbidden else CONFIG, str(error)
+        case MissingExtra():
+            return UNAVAILABLE, str(error)
         case Unavailable() | DeviceError():
             return _os_code(_causes(error), UNAVAILABLE), str(error)
         case OSError():

@@ -416,7 +416,7 @@ def test_a_config_that_may_not_be_read(capsys: pytest.CaptureFixture[str]) -> No
 def test_the_page_about_the_command_line_names_every_option() -> None:
     page = (Path(__file__).parents[2] / "docs" / "cli.md").read_text()
     synopsis = page.partition("```\n")[2].partition("```")[0]
-    said = set(re.findall(r"--[a-z-]+|(?<= \[)-v", synopsis))
+    said = set(re.findall(r"--[a-z-]+|(?<= \[)-[vo]", synopsis))
     known = {
         option
         for name in (None, *cli.COMMANDS)

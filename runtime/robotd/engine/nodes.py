@@ -75,6 +75,7 @@ class BehaviourNode:
         self.outcome = ""
         self.started_ns = now_ns
         self.blind_since_ns = None
+        self.explanation, self.explained_ns = (), 0  # what the goal before thought is history
 
     def end(self, outcome: str) -> None:
         """The goal is over, whichever way: withdraw, clean up, forget the instance."""

@@ -264,7 +264,7 @@ class Player:
         self.written = []
         for made in turn.perceived:
             if made.topic in self._played:
-                self._played[made.topic].append(self._value(made))
+                self._played[made.topic].append(self.value(made))
         now_ns = entry.now_ns
         if entry.kind == "started":
             self.core = Core(self.parts, self._graph, self, timers=self, offloader=self, journal=self, now_ns=now_ns)
@@ -275,21 +275,21 @@ class Player:
             case "tick":
                 core.tick(now_ns)
             case "message":
-                core.receive(self._find(self._graph.slots, entry, "topic"), self._value(entry), now_ns)
+                core.receive(self._find(self._graph.slots, entry, "topic"), self.value(entry), now_ns)
             case "timer":
                 core.timer(self._node(entry), now_ns)
             case "expiry":
                 core.expire(self._node(entry), now_ns)
             case "offloaded":
-                result, oldest_ns = self._value(entry)
+                result, oldest_ns = self.value(entry)
                 core.offloaded(self._find(self._perceptors, entry, "perceptor"), result, oldest_ns, now_ns)
             case "request":
-                request: Request = self._value(entry)
+                request: Request = self.value(entry)
                 core.request(request, now_ns)
             case "opened":
                 core.device_opened(self._device(entry), now_ns)
             case "lost":
-                core.device_lost(self._device(entry), self._value(entry), now_ns)
+                core.device_lost(self._device(entry), self.value(entry), now_ns)
         for name, left in self._played.items():
             if left:
                 left.clear()
@@ -299,9 +299,9 @@ class Player:
         """An input in words: `message lidar_scan`, `request EStop by button`."""
         words = f"{entry.kind} {entry.topic}".strip()
         if entry.kind == "message":
-            stamp_ns = self._value(entry).stamp_ns
+            stamp_ns = self.value(entry).stamp_ns
             return f"{words} ({(entry.now_ns - stamp_ns) / 1e6:.3g} ms old)"
-        return f"{words} by {self._value(entry).by}" if entry.kind == "request" else words
+        return f"{words} by {self.value(entry).by}" if entry.kind == "request" else words
 
     def compare(
         self, recorded: list[Entry], tolerance: float
@@ -313,12 +313,13 @@ class Player:
             made = written[i] if i < len(written) else None
             if entry is not None and made is not None and entry.payload == encode(made):
                 continue
-            meant = self._value(entry) if entry is not None else None
+            meant = self.value(entry) if entry is not None else None
             if not (tolerance and meant is not None and made is not None and _near(meant, made, tolerance)):
                 return i, (meant, made)
         return len(recorded), None
 
-    def _value(self, entry: Entry) -> Any:
+    def value(self, entry: Entry) -> Any:
+        """What an entry holds; None where it holds nothing. Raises RecordError naming the turn."""
         if not entry.payload:
             return None
         try:
@@ -327,7 +328,7 @@ class Player:
             raise RecordError(f"turn {entry.sequence}, {entry.kind} {entry.topic}: {error}") from error
 
     def _node(self, entry: Entry) -> Node:
-        index = self._value(entry)
+        index = self.value(entry)
         nodes = self._graph.nodes
         if not isinstance(index, int) or not 0 <= index < len(nodes) or nodes[index].name != entry.topic:
             raise RecordError(f"turn {entry.sequence}: this robot has no {entry.topic!r} at {index}")
@@ -363,7 +364,11 @@ def _sees_frames(part: PerceptorPart) -> bool:
 
 def _stand_in(part: PerceptorPart) -> PerceptorPart:
     """The same part for the graph, without its models: a perceptor that is played back is never asked."""
-    silent = {"__init__": lambda self, config, robot=None: None, "load": classmethod(lambda cls, config: None)}
+    silent = {
+        "__init__": lambda self, config, robot=None: None,
+        "load": classmethod(lambda cls, config: None),
+        "explain": lambda self: (),
+    }
     return replace(part, cls=type(part.cls.__name__, (part.cls,), silent))
 
 
