@@ -24,7 +24,7 @@ class SimBase(Actuator[SimBaseConfig, Drive]):
     """A differential or mecanum base. Odometry counts the wheels and so drifts from the truth; it starts at 0, 0, 0.
 
     A command reaches the motors at once; what they make of it is in `Wheels`. A wheel that spins against a wall still
-    counts. Raises DeviceMisconfigured for a car: its steering is not simulated yet.
+    counts. Raises DeviceMisconfigured for a car, which `sim_car` simulates.
     """
 
     emits: ClassVar[tuple[type[Message], ...]] = (Odometry,)
@@ -63,7 +63,7 @@ class SimBase(Actuator[SimBaseConfig, Drive]):
             raise TypeError(f"{self.context.name} takes Drive, not {type(taken).__name__}")
         if self._world is not None and self._wheels is not None:
             self._world.advance()
-            self._wheels.command(command)
+            self._wheels.command(command, self._world.supply)
 
     def halt(self) -> None:
         self.apply(STOP)
@@ -73,6 +73,6 @@ class SimBase(Actuator[SimBaseConfig, Drive]):
             return
         self._world.advance()
         x_m, y_m, yaw_rad = self._wheels.odometry
-        told = self._wheels.measured
+        told = self._wheels.report()
         now_ns = self.context.clock.now_ns()
         self.publish(Odometry(now_ns, x_m, y_m, yaw_rad, told.vx_mps, told.vy_mps, told.wz_radps))

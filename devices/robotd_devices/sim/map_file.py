@@ -120,11 +120,9 @@ class GridEntry(Config):
     """The map_server YAML, relative to the map's folder."""
 
 
-class RouteEntry(Config):
-    """The route map of a JetBot (nodes on a grid, edges N, E, S, W) laid on the floor as tape."""
+class RouteLaying(Config):
+    """How the route map of a JetBot (nodes on a grid, edges N, E, S, W) is laid on the floor as tape."""
 
-    file: str
-    """The JSON file, relative to the map's folder."""
     pitch_m: float = Field(default=0.9, gt=0.1, le=10.0)
     """Metres of one step of the grid."""
     tape_width_m: float = Field(default=0.05, gt=0.0, le=1.0)
@@ -135,6 +133,13 @@ class RouteEntry(Config):
     marker_distance_m: float = Field(default=0.30, gt=0.0, le=5.0)
     """From the node to the middle of each post."""
     marker_radius_m: float = Field(default=0.04, gt=0.0, le=1.0)
+
+
+class RouteEntry(RouteLaying):
+    """A route map and how it is laid."""
+
+    file: str
+    """The JSON file, relative to the map's folder."""
 
 
 class MapFile(Config):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.util
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +14,10 @@ from pydantic import ValidationError
 
 from robotd.world.messages import Float64s
 from robotd_devices.sim.grid import read_grid
-from robotd_devices.sim.map_file import CardEntry, MapFile, PersonEntry, RouteEntry
+from robotd_devices.sim.map_file import CardEntry, MapFile, PersonEntry, RouteLaying
 from robotd_devices.sim.people import Person, Walk, walk_along
 from robotd_devices.sim.polyline import box_segments_m, distance_to_segments_m, rounded
-from robotd_devices.sim.route import HEADING_RAD, Route, read_route
+from robotd_devices.sim.route import HEADING_RAD, Route, read_route, route_from
 
 _GRID_KEYS = {"image", "resolution", "origin"}
 
@@ -157,7 +157,7 @@ def map_from(content: MapFile, folder: Path | None = None) -> WorldMap:
     )
 
 
-def lay_route(route: Route, how: RouteEntry) -> WorldMap:
+def lay_route(route: Route, how: RouteLaying) -> WorldMap:
     """A route map as tape and markers, with the start that it names; the map frame's y grows to the north."""
     posts: list[tuple[float, float, float]] = []
     marked = {"none": [], "crossings": route.crossings(), "all": list(route.places)}[how.markers]
@@ -173,6 +173,18 @@ def lay_route(route: Route, how: RouteEntry) -> WorldMap:
         (*start_m, HEADING_RAD[how.heading]),
         "route",
     )
+
+
+def route_world(content: Any, how: RouteLaying | None = None, margin_m: float = 1.0) -> WorldMap:
+    """The floor of a route map as read from JSON, such as `random_route` makes, with walls around it.
+
+    margin_m: from the outermost nodes to the walls. Raises ValueError naming what cannot be laid.
+    """
+    laid = lay_route(route_from(content), how if how is not None else RouteLaying())
+    x0, y0, x1, y1 = laid.bounds_m()
+    x0, y0, x1, y1 = x0 - margin_m, y0 - margin_m, x1 + margin_m, y1 + margin_m
+    walls_m = box_segments_m((x0 + x1) / 2.0, (y0 + y1) / 2.0, 0.0, x1 - x0, y1 - y0)
+    return replace(laid, segments_m=walls_m)
 
 
 def _beside(folder: Path, name: str, place: str) -> Path:

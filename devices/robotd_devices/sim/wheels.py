@@ -31,22 +31,34 @@ class WheelSettings(Config):
     """Standard deviation of each wheel's slip as a share of its speed; it drifts over `slip_time_s`."""
     slip_time_s: float = Field(default=0.3, gt=0.0, le=10.0)
     """Correlation time of the slip (a first-order Gauss-Markov process)."""
+    dead_band_mps: float = Field(default=0.01, ge=0.0, le=0.5)
+    """A wheel that is told less rim speed than this stands."""
+    encoder_ticks: int = Field(default=1320, ge=0, le=1_000_000)
+    """Counts of an encoder for one turn of its wheel (11 lines, 4 edges, gear 1:30); 0: it knows every angle."""
+    battery_share: float = Field(default=0.0, ge=0.0, le=1.0)
+    """Share of the motors' speed that follows the battery's voltage: 0 is a speed control, 1 a bare motor."""
 
 
 class Wheels:
     """The wheels of one base on the grid of physics.
 
     Three velocities follow from one command: what the motors do (`lag_s`, `motor_error`), what the encoders report
-    of it (exactly that, through the nominal kinematics), and what the floor makes of it (`wheel_error`,
-    `track_error`, slip). Raises ValueError for a car: its steering is not modelled yet.
+    of it (in whole counts, through the nominal kinematics), and what the floor makes of it (`wheel_error`,
+    `track_error`, slip). Raises ValueError for a car, which has no such wheels.
     """
 
     def __init__(self, kinematics: Kinematics, settings: WheelSettings, rng: np.random.Generator, step_ns: int) -> None:
         if isinstance(kinematics, Ackermann):
-            raise ValueError("an ackermann base is not simulated yet: use differential or mecanum")
+            raise ValueError("sim_base has differential or mecanum wheels: a car is simulated by sim_car")
         self._kinematics: Differential | Mecanum = kinematics
         count = 2 if isinstance(kinematics, Differential) else 4
         self._step_s = step_ns / NS_PER_S
+        # a differential base counts metres of rim, a mecanum one radians of wheel
+        self._per_m = 1.0 if isinstance(kinematics, Differential) else 1.0 / kinematics.wheel_radius_m
+        turn = math.tau * kinematics.wheel_radius_m * self._per_m
+        self._tick = turn / settings.encoder_ticks if settings.encoder_ticks else 0.0
+        self._dead_band = settings.dead_band_mps * self._per_m
+        self._battery_share = settings.battery_share
         self._motor_scale = tuple(
             1.0 + float(e) for e in rng.uniform(-settings.motor_error, settings.motor_error, count)
         )
@@ -66,17 +78,29 @@ class Wheels:
         self.odometry: tuple[float, float, float] = (0.0, 0.0, 0.0)
         """Base in the odometry frame as the encoders tell: x, y, yaw."""
         self.measured: Drive = STOP
-        """Body velocity as the encoders tell."""
+        """Body velocity of the turning motors through the nominal kinematics, before it is counted."""
+        self._turned = [0.0] * count
+        self._counted = [0.0] * count
+        self._reported = [0.0] * count
+        self._unreported = 0
 
-    def command(self, drive: Drive) -> None:
-        """What the motors are told from the next step on. A differential base has no use for `vy_mps`."""
+    def command(self, drive: Drive, supply: float = 1.0) -> None:
+        """What the motors are told from the next step on. A differential base has no use for `vy_mps`.
+
+        supply: the battery's voltage as a share of the full one.
+        """
         wheels = self._kinematics
         raw = wheels.rim_speeds(drive) if isinstance(wheels, Differential) else wheels.wheel_speeds(drive)
-        self._wanted = tuple(speed * scale for speed, scale in zip(raw, self._motor_scale, strict=True))
+        power = 1.0 + self._battery_share * (supply - 1.0)
+        self._wanted = tuple(
+            speed * scale * power if abs(speed) >= self._dead_band else 0.0
+            for speed, scale in zip(raw, self._motor_scale, strict=True)
+        )
 
     def step(self) -> Drive:
         """One grid step; the body's true velocity during it."""
         keep = self._keep
+        self._unreported += 1
         speeds = tuple(want + keep * (speed - want) for want, speed in zip(self._wanted, self._speeds, strict=True))
         if all(-_STILL < speed < _STILL for speed in speeds) and not any(self._wanted):
             self._speeds = (0.0,) * len(speeds)
@@ -84,7 +108,7 @@ class Wheels:
             return STOP
         self._speeds = speeds
         self.measured = self._body(speeds)
-        self.odometry = advance(*self.odometry, self.measured, self._step_s)
+        self._count()
         self._drift_slips()
         real = self._body(
             tuple(
@@ -92,6 +116,27 @@ class Wheels:
             )
         )
         return Drive(real.vx_mps, real.wz_radps / self._track_scale, real.vy_mps)
+
+    def report(self) -> Drive:
+        """Body velocity that the encoders tell since the last report: counts over time, or exactly without counts."""
+        if self._tick == 0.0 or self._unreported == 0:
+            return self.measured
+        over_s = self._unreported * self._step_s
+        speeds = tuple((new - old) / over_s for new, old in zip(self._counted, self._reported, strict=True))
+        self._reported, self._unreported = list(self._counted), 0
+        return self._body(speeds)
+
+    def _count(self) -> None:
+        """Takes the step into the odometry as far as the encoders see it."""
+        if self._tick == 0.0:
+            self.odometry = advance(*self.odometry, self.measured, self._step_s)
+            return
+        self._turned = [turned + speed * self._step_s for turned, speed in zip(self._turned, self._speeds, strict=True)]
+        counted = [math.floor(turned / self._tick) * self._tick for turned in self._turned]
+        if counted != self._counted:
+            moved = tuple((new - old) / self._step_s for new, old in zip(counted, self._counted, strict=True))
+            self.odometry = advance(*self.odometry, self._body(moved), self._step_s)
+            self._counted = counted
 
     def _body(self, speeds: tuple[float, ...]) -> Drive:
         return self._kinematics.body(*speeds)

@@ -9,17 +9,27 @@ from typing import Any
 
 import pytest
 
-from robotd_devices.sim import FlatWorld, SimBase, SimCamera, SimLidar, load_map
+from robotd_devices import sim
+from robotd_devices.sim import load_map
 
 PAGE = (Path(__file__).resolve().parents[3] / "docs" / "simulator.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(
     ("name", "cls"),
-    [("flat_world", FlatWorld), ("sim_base", SimBase), ("sim_lidar", SimLidar), ("sim_camera", SimCamera)],
+    [
+        ("flat_world", sim.FlatWorld),
+        ("sim_base", sim.SimBase),
+        ("sim_car", sim.SimCar),
+        ("sim_lidar", sim.SimLidar),
+        ("sim_camera", sim.SimCamera),
+        ("sim_imu", sim.SimImu),
+        ("sim_bumper", sim.SimBumper),
+        ("sim_battery", sim.SimBattery),
+    ],
 )
 def test_the_table_of_keys_is_the_config(name: str, cls: Any) -> None:
-    section = PAGE.split(f"\n`{name}`", 1)[1].split("\n\n`", 1)[0]
+    section = PAGE.split("## Keys", 1)[1].split(f"\n`{name}`", 1)[1].split("\n\n`", 1)[0]
     told = dict(re.findall(r"^\| `(\w+)` \| `?([^|`]*?)`? \|", section, re.MULTILINE))
     real = {
         key: field.default if isinstance(field.default, str) else json.dumps(field.default)
@@ -32,4 +42,7 @@ def test_the_example_map_loads(tmp_path: Path) -> None:
     file = tmp_path / "example.yaml"
     file.write_text(PAGE.split("```yaml\n", 1)[1].split("```", 1)[0])
     world = load_map(str(file))
-    assert (len(world.segments_m), len(world.circles_m), len(world.lines)) == (4, 1, 1)
+    counts = [
+        len(part) for part in (world.segments_m, world.circles_m, world.lines, world.boxes, world.cards, world.people)
+    ]
+    assert counts == [4, 1, 1, 1, 1, 1]

@@ -20,7 +20,9 @@ ROOM = map_from_segments(
     circles_m=[(1.0, 1.0, 0.1)],
 )
 EXACT: dict[str, Any] = {"noise_m": 0.0, "noise_share": 0.0, "dropout": 0.0}
-PERFECT = SimBaseConfig(lag_s=0.0, motor_error=0.0, wheel_error=0.0, track_error=0.0, slip_std=0.0)
+PERFECT = SimBaseConfig(
+    lag_s=0.0, motor_error=0.0, wheel_error=0.0, track_error=0.0, slip_std=0.0, dead_band_mps=0.0, encoder_ticks=0
+)
 MOUNT = Mount(x_m=0.05, y_m=-0.02, z_m=0.1, yaw_rad=0.4)
 
 

@@ -15,7 +15,9 @@ from robotd_devices.sim import SimBase, SimBaseConfig, SimLidar, SimLidarConfig,
 from robotd_devices.sim.maps import Card, map_from_segments
 from robotd_devices.sim.people import Person, Walk, walk_along
 
-PERFECT = SimBaseConfig(lag_s=0.0, motor_error=0.0, wheel_error=0.0, track_error=0.0, slip_std=0.0)
+PERFECT = SimBaseConfig(
+    lag_s=0.0, motor_error=0.0, wheel_error=0.0, track_error=0.0, slip_std=0.0, dead_band_mps=0.0, encoder_ticks=0
+)
 EXACT: dict[str, Any] = {"noise_m": 0.0, "noise_share": 0.0, "dropout": 0.0}
 ROBOT = Robot(footprint_m=((0.1, 0.05), (0.1, -0.05), (-0.1, -0.05), (-0.1, 0.05)), mounts={"lidar": Mount(z_m=0.15)})
 

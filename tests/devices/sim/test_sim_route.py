@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robotd_devices.sim.map_file import RouteEntry
+from robotd_devices.sim.map_file import RouteLaying
 from robotd_devices.sim.maps import MapError, lay_route, load_map
 from robotd_devices.sim.route import random_route, route_from
 
@@ -85,7 +85,7 @@ def test_a_route_that_is_not_there_is_refused(tmp_path: Path) -> None:
 def test_the_stock_map_of_the_starter_kit_lies_on_the_floor(data_dir: Path) -> None:
     route = route_from(json.loads((data_dir / "jetbot" / "maps" / "shape_a_starter.json").read_text()))
     assert (len(route.places), len(route.edges), route.start) == (13, 18, "2")
-    world = lay_route(route, RouteEntry(file="-"))
+    world = lay_route(route, RouteLaying())
     assert world.start == (0.0, -1.8, 0.0)
     nodes_m = np.array([route.place_m(node, 0.9) for node in route.places])
     assert world.line_distance_m(nodes_m).max() < 1e-9

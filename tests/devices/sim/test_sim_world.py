@@ -31,7 +31,9 @@ from robotd_devices.sim.maps import map_from_segments
 from robotd_devices.sim.touch import Outline
 from robotd_devices.sim.wheels import Wheels, WheelSettings
 
-PERFECT = SimBaseConfig(lag_s=0.0, motor_error=0.0, wheel_error=0.0, track_error=0.0, slip_std=0.0)
+PERFECT = SimBaseConfig(
+    lag_s=0.0, motor_error=0.0, wheel_error=0.0, track_error=0.0, slip_std=0.0, dead_band_mps=0.0, encoder_ticks=0
+)
 OPEN = map_from_segments()
 STEP_NS = 5_000_000
 
@@ -285,7 +287,7 @@ def test_a_twin_without_its_world_says_what_to_write(cls: Any) -> None:
 
 def test_a_car_is_refused_in_words(rig: Any) -> None:
     car = Robot(kinematics=Ackermann(0.25, 0.2, 0.4))
-    with pytest.raises(DeviceMisconfigured, match="ackermann base is not simulated yet"):
+    with pytest.raises(DeviceMisconfigured, match="a car is simulated by sim_car"):
         rig(base(), robot=car, world_map=OPEN).run(0.1)
 
 
