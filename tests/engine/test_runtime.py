@@ -217,6 +217,17 @@ def test_cancelling_the_run_stops_the_motors() -> None:
     assert (S, "halt") in base.log and base.log[-1][1] == "halt"
 
 
+def test_nothing_drives_while_the_devices_are_being_closed() -> None:
+    class Slow(FakeLidar):
+        async def close(self) -> None:
+            await asyncio.sleep(0.3)
+            self._timer.cancel()
+
+    _, base = run(with_device(robot(behaviour(Go)), "lidar", Slow), 1.005)
+    assert base.at(0.95) == Drive(0.4)
+    assert [what for ns, what in base.log if ns > S] == ["halt"] * 2, "scans and ticks went on for 0.3 s, unheard"
+
+
 def test_perceptors_that_raise_or_lie_are_benched_and_their_topic_goes_missing() -> None:
     class Lies(Perceptor[NoConfig, Sees, Target]):
         def step(self, seen: Sees) -> Target | None:

@@ -74,6 +74,19 @@ class Base(Protocol):
     def halt(self) -> None: ...
 
 
+class _Halted:
+    """A base on the way out: it takes no command any more, however long the loop still turns."""
+
+    def __init__(self, base: Base) -> None:
+        self._base = base
+
+    def apply(self, command: object) -> None:
+        pass
+
+    def halt(self) -> None:
+        self._base.halt()
+
+
 class Journal(Protocol):
     """Who writes down every input of every turn; `ref` names the topic, node or device.
 
@@ -266,7 +279,10 @@ class Core:
         self._act(now_ns)
 
     def halt(self) -> None:
-        """The way out: stop the base, whatever state the rest is in."""
+        """The way out: stop the base, whatever state the rest is in. From here on nothing drives or is written down."""
+        if not isinstance(self._base, _Halted):
+            self._base = _Halted(self._base)
+            self._journal = None
         self._base.halt()
 
     # ------------------------------------------------------------------------------------- questions
