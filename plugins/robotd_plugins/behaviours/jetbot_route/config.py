@@ -47,7 +47,7 @@ class JetBotRouteConfig(Config):
     lost_m: float = Field(default=0.08, ge=0.0, le=1.0)
     """Without a line in sight it drives on slowly for so far before it counts as lost."""
     reacquire_m: float = Field(default=0.20, gt=0.0, le=1.0)
-    """It goes no farther than this without a line, then turns to look for it (LINE_REACQUIRE_TIMEOUT, as a distance)."""
+    """It goes no farther than this without a line, then looks about for it (LINE_REACQUIRE_TIMEOUT, as a distance)."""
     reacquire_heading_rad: float = Field(default=0.52, gt=0.0, le=1.57)
     """On and after a crossing only a line within this of the course is the right one."""
     search_rad: float = Field(default=0.7, gt=0.0, le=3.0)

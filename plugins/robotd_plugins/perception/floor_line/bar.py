@@ -27,6 +27,10 @@ _STRAIGHT_ROWS = 3
 _AROUND_ROWS = 8
 _BESIDE_ROWS = 3
 _STRETCH_ROWS = 16
+_CORNER_ROWS = 3
+_CORNER_SHARE = 0.7
+_LEANS_FIRST = 0.10
+_LEANS = 0.16
 
 
 class Arm(NamedTuple):
@@ -187,16 +191,16 @@ def _brightness(place: _Place, scene: Scene, rows: list[int]) -> float:
 
 
 def _sharp(place: _Place, side: int) -> bool:
-    """Whether the line runs straight into a corner, instead of bending more and more before it."""
-    near, far = place.below[-_BESIDE_ROWS:], place.below[-_BESIDE_ROWS - _STRETCH_ROWS : -_BESIDE_ROWS]
-    if len(far) < 2 * _BESIDE_ROWS:
+    """Whether the line's outer edge runs straight on to a corner; in a bend it leans over to where the arm goes."""
+    if len(place.below) < 2 * _BESIDE_ROWS or len(place.rows) < _CORNER_ROWS:
         return False
-    off, straight = 0.0, fit(far)
-    for piece in near:
+    straight = fit(place.below[-_STRETCH_ROWS:])
+    leans = []
+    for piece in place.rows:
         centre, width = straight.at(piece.row)
-        edge = piece.left if side < 0 else piece.right
-        off = max(off, side * (edge - centre) - width / 2.0)
-    return off <= 0.2 * (near[-1].right - near[-1].left) + 1.0
+        edge = piece.right if side < 0 else piece.left
+        leans.append((side * (edge - centre) + width / 2.0) / width)
+    return leans[0] <= _LEANS_FIRST and max(leans[: round(_CORNER_SHARE * len(leans))]) <= _LEANS
 
 
 def _median(values: list[float] | list[int]) -> float:
