@@ -251,6 +251,16 @@ def test_a_robot_that_stands_always_has_a_reason(status: Status) -> None:
     ("before", "after", "said"),
     [
         (None, state(), ["lidar is open", "jetbot_route is active: following the line", "driving: jetbot_route"]),
+        (
+            None,
+            state(zones_off="a bench robot on blocks"),
+            [
+                "the guard has no zones: a bench robot on blocks",
+                "lidar is open",
+                "jetbot_route is active: following the line",
+                "driving: jetbot_route",
+            ],
+        ),
         (state(), state(), []),
         (state(), state(now_ns=76_000_000_000, command=Drive(0.3), turns=13), []),
         (state(command=Drive()), state(), ["driving: jetbot_route"]),
@@ -271,3 +281,9 @@ def test_a_robot_that_stands_always_has_a_reason(status: Status) -> None:
 )
 def test_changes(before: Status | None, after: Status, said: list[str]) -> None:
     assert changes(before, after) == said
+
+
+def test_a_robot_without_zones_always_says_why() -> None:
+    lines = render(state(zones_off="on blocks"), 80, 24, scale=Scale())
+    assert "no zones: on blocks" in lines
+    assert not [line for line in render(state(), 80, 24, scale=Scale()) if "no zones" in line]

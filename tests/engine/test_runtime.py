@@ -10,7 +10,20 @@ from typing import Any
 import pytest
 from small_robot import FakeBase, FakeLidar, FakeOdometry, S, ScriptConfig, behaviour, perceptor, robot, run
 
-from robotd import Behaviour, Bridge, Drive, LidarScan, NoConfig, Perceptor, RuntimeLink, Target, View, every
+from robotd import (
+    Behaviour,
+    Bridge,
+    Drive,
+    LidarScan,
+    NoConfig,
+    Odometry,
+    Perceptor,
+    RuntimeLink,
+    Target,
+    View,
+    every,
+    needed,
+)
 from robotd.authoring.bridge import Refused
 from robotd.authoring.device import DeviceMisconfigured, DeviceUnavailable
 from robotd.engine.core import Core
@@ -282,3 +295,18 @@ def test_the_same_robot_runs_on_the_real_loop() -> None:
     assert base.log[0][1] == "halt" and base.log[-1][1] == "halt"
     assert Drive(0.4) in [what for _, what in base.log]
     assert runtime.core.turns >= 10
+
+
+def test_messages_that_nobody_saw_are_counted() -> None:
+    class SeesBoth(View):
+        scan: LidarScan = every(within_s=0.25)
+        odometry: Odometry = needed(within_s=0.2)
+
+    class Both(Behaviour[NoConfig, SeesBoth]):
+        def step(self, seen: SeesBoth) -> Drive | None:
+            return None
+
+    runtime, _ = run(robot(behaviour(Both), odometry=ScriptConfig(hz=50.0)), 1.005)
+    slots = runtime.core.graph.slots
+    assert slots["lidar_scan"].overwritten == 0
+    assert 38 <= slots["odometry"].overwritten <= 40, "ten of fifty were seen"

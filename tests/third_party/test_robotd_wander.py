@@ -66,7 +66,7 @@ def test_it_is_listed_beside_the_built_in_plugins(outside: Outside) -> None:
     done = outside.run("robotd.cli", "plugins")
     assert done.returncode == 0, done.stderr
     rows = {line.split()[0]: line.split()[1:] for line in done.stdout.splitlines()}
-    for name in ("wander", "bumper", "sim_bumper"):
+    for name in ("wander", "bumper", "timed_bumper"):
         assert rows[name][1:] == ["robotd-wander", "0.1.0"]
     assert rows["jetbot_route"][1] == "robotd"
 

@@ -24,7 +24,10 @@ NEVER_NS = 1 << 62
 class Slot:
     """The newest message of one topic. `message` is None before the first and after its source was lost."""
 
-    __slots__ = ("downstream", "is_state", "message", "oldest_ns", "readers", "sequence", "source", "topic", "wakes")
+    __slots__ = (
+        "downstream", "is_state", "looked", "message", "oldest_ns", "overwritten", "readers", "sequence", "source",
+        "topic", "wakes",
+    )  # fmt: skip
 
     def __init__(self, topic: Topic[Message]) -> None:
         self.topic = topic
@@ -32,12 +35,18 @@ class Slot:
         self.message: Message | None = None
         self.oldest_ns = 0
         self.sequence = 0
+        self.looked = 0
+        """Sequence of the message that a plugin saw last."""
+        self.overwritten = 0
+        """Messages that were replaced before any of their readers saw them."""
         self.source = ""
         self.wakes: tuple[Node, ...] = ()
         self.readers: tuple[Node, ...] = ()
         self.downstream: tuple[Node, ...] = ()
 
     def put(self, message: Message, oldest_ns: int) -> None:
+        if self.looked != self.sequence and self.readers:
+            self.overwritten += 1
         self.message = message
         self.oldest_ns = oldest_ns
         self.sequence += 1
@@ -90,6 +99,7 @@ class Lookout:
                         oldest = stamp
                     if not optional and stamp + within_ns < fresh_until:
                         fresh_until = stamp + within_ns
+            slot.looked = slot.sequence
             values[name] = message
         self.missing = None
         self.oldest_ns = oldest

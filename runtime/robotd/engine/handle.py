@@ -126,7 +126,7 @@ class RuntimeHandle:
                 source=slot.source,
                 rate_hz=self._rates.of(slot.topic.name, slot.sequence, now_ns),
                 age_s=(now_ns - slot.oldest_ns) / 1e9 if slot.message is not None else float("inf"),
-                overwritten=0,
+                overwritten=slot.overwritten,
                 faults=faults.get(slot.source, 0),
             )
             for slot in core.graph.slots.values()
@@ -145,6 +145,7 @@ class RuntimeHandle:
             tick_late_ms=self._runtime.tick_late_ns / 1e6,
             turns=core.turns,
             virtual=self._runtime.virtual,
+            zones_off=self._runtime.parts.guard.zones.off or "",
         )
 
     def status(self) -> Mapping[str, Any]:

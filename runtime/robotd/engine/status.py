@@ -45,7 +45,10 @@ class DeviceStatus:
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """One instant of one robot. `reason`: why it stands still, empty while it moves."""
+    """One instant of one robot. `reason`: why it stands still, empty while it moves.
+
+    zones_off: why this robot drives without the guard's zones; empty where it has them.
+    """
 
     now_ns: int
     mode: Mode
@@ -59,6 +62,7 @@ class Status:
     tick_late_ms: float
     turns: int
     virtual: bool
+    zones_off: str = ""
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data for JSON: the mode by its name, infinities as None."""
@@ -99,4 +103,5 @@ class Status:
             "tick_late_ms": self.tick_late_ms,
             "turns": self.turns,
             "virtual": self.virtual,
+            "zones_off": self.zones_off,
         }

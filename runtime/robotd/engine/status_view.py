@@ -227,6 +227,8 @@ def render(
         lines = [f"{status.mode.value.upper()}  {_reason(status)}"]
     else:
         lines = [_head(status, since_ns), _reason(status), _command(status, scale, width)][:rows]
+        if status.zones_off and len(lines) < rows:
+            lines.append(f"no zones: {status.zones_off}")
         sections = (
             _devices(status.devices),
             _behaviours(status.behaviours, status.by, width),
@@ -245,6 +247,8 @@ def changes(before: Status | None, after: Status) -> list[str]:
     The engine itself logs modes, reasons for standing still, outcomes and lost devices.
     """
     said: list[str] = []
+    if before is None and after.zones_off:
+        said.append(f"the guard has no zones: {after.zones_off}")
     was_open = {device.name for device in before.devices if device.state == "open"} if before else set()
     known = {device.name: device.state for device in before.devices} if before else {}
     for device in after.devices:

@@ -10,7 +10,7 @@ from robotd.authoring.device import DeviceUnavailable
 from robotd.testing import check_sensor, connected, run_virtual
 from robotd.world.messages import Contact
 
-from robotd_wander.bumper import Bumper, BumperConfig, BumperParser, SimBumper, SimBumperConfig
+from robotd_wander.bumper import Bumper, BumperConfig, BumperParser, TimedBumper, TimedBumperConfig
 
 
 @pytest.mark.parametrize(
@@ -54,7 +54,7 @@ def test_a_port_that_is_not_there_is_named(tmp_path: Path) -> None:
 
 def test_the_twin_keeps_the_contract() -> None:
     async def scene() -> None:
-        twin, _ = connected(SimBumper, SimBumperConfig())
+        twin, _ = connected(TimedBumper, TimedBumperConfig())
         await check_sensor(twin)
 
     run_virtual(scene())
@@ -62,7 +62,7 @@ def test_the_twin_keeps_the_contract() -> None:
 
 def test_the_twin_is_pressed_by_the_clock() -> None:
     async def scene() -> list[float]:
-        twin, link = connected(SimBumper, SimBumperConfig(rate_hz=10.0, every_s=2.0, for_s=0.3))
+        twin, link = connected(TimedBumper, TimedBumperConfig(rate_hz=10.0, every_s=2.0, for_s=0.3))
         await twin.open()
         await asyncio.sleep(4.25)
         await twin.close()

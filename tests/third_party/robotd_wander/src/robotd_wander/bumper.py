@@ -41,7 +41,7 @@ class BumperParser:
 class Bumper(Sensor[BumperConfig, Contact]):
     """Publishes each state in the turn of the event loop in which its last byte arrived."""
 
-    sim_twin: ClassVar[str] = "sim_bumper"
+    sim_twin: ClassVar[str] = "timed_bumper"
     _descriptor: int | None = None
 
     async def open(self) -> None:
@@ -83,7 +83,7 @@ class Bumper(Sensor[BumperConfig, Contact]):
             self.context.link.fault("unreadable line")
 
 
-class SimBumperConfig(Config):
+class TimedBumperConfig(Config):
     """A bumper that is pressed now and then."""
 
     rate_hz: float = Field(default=10.0, ge=1.0, le=100.0)
@@ -94,14 +94,14 @@ class SimBumperConfig(Config):
     """How long each lasts, in seconds."""
 
 
-class SimBumper(Sensor[SimBumperConfig, Contact]):
+class TimedBumper(Sensor[TimedBumperConfig, Contact]):
     """The twin that `--sim` puts in its place: pressed by the clock."""
 
     _timer: asyncio.TimerHandle | None = None
     _count = 0
 
     @classmethod
-    def publish_period_s(cls, config: SimBumperConfig) -> float:
+    def publish_period_s(cls, config: TimedBumperConfig) -> float:
         return 1.0 / config.rate_hz
 
     async def open(self) -> None:
