@@ -2,53 +2,17 @@
 
 from __future__ import annotations
 
-import math
-
-import numpy as np
-from pydantic import Field, model_validator
-
 from robotd.authoring.device import DeviceContext, DeviceMisconfigured, Sensor
-from robotd.world.clock import ns
-from robotd.world.messages import Bytes2D, CameraFrame, Float64s
-from robotd.world.robot import Mount
-from robotd_devices.sim.lens import FloorCamera, Lens
+from robotd.world.messages import Bytes2D, CameraFrame
+from robotd_devices.sim.lens import FloorCamera
 from robotd_devices.sim.look import Look
 from robotd_devices.sim.render import Renderer
-from robotd_devices.sim.ticks import Ticker
-from robotd_devices.sim.world import FlatWorld, flat_world
-
-_MOST_VIEWS = 4
-"""Mixed for the blur of one exposure; beyond it the blur is a little uneven."""
+from robotd_devices.sim.shutter import CameraSettings, Pose, Shutter, check_mount
+from robotd_devices.sim.world import flat_world
 
 
-class SimCameraConfig(Look):
+class SimCameraConfig(CameraSettings, Look):
     """A simulated camera; the defaults resemble a JetBot's wide-angle one over white vinyl with black tape."""
-
-    rate_hz: float = Field(default=20.0, gt=0.0, le=200.0)
-    """Pictures a second."""
-    width_px: int = Field(default=320, ge=16, le=1920)
-    height_px: int = Field(default=240, ge=16, le=1440)
-    fov_rad: float = Field(default=2.1, gt=0.1, le=3.5)
-    """Horizontal field of view, from edge to edge."""
-    vertical_fov_rad: float | None = Field(default=None, gt=0.1, le=3.5)
-    """Only for pictures that were squeezed to another shape; otherwise pixels are square."""
-    distortion: tuple[float, float, float, float] | None = (0.0, 0.0, 0.0, 0.0)
-    """Terms k1 to k4 of the wide-angle model (zeros: equidistant); null: a pinhole without distortion."""
-    latency_s: float = Field(default=0.02, ge=0.0, le=0.5)
-    """From the middle of the exposure, which is the stamp, to publication."""
-    frame_loss: float = Field(default=0.0, ge=0.0, lt=1.0)
-    """Share of pictures that never arrive; their numbers are missing in `sequence`."""
-    exposure_s: float = Field(default=0.01, ge=0.0, le=0.2)
-    """How long light is gathered: what moves in that time is blurred. The stamp is its middle."""
-
-    @model_validator(mode="after")
-    def _lens_is_possible(self) -> SimCameraConfig:
-        self.lens()
-        return self
-
-    def lens(self) -> Lens:
-        """The lens that these values describe."""
-        return Lens(self.width_px, self.height_px, self.fov_rad, self.vertical_fov_rad, self.distortion)
 
     def look(self) -> Look:
         """The values that say what the picture looks like."""
@@ -64,14 +28,7 @@ class SimCamera(Sensor[SimCameraConfig, CameraFrame]):
 
     def __init__(self, config: SimCameraConfig, context: DeviceContext | None = None) -> None:
         super().__init__(config, context)
-        self._world: FlatWorld | None = None
-        self._renderer: Renderer | None = None
-        self._rng = np.random.default_rng(0)
-        self._sequence = 0
-        self._latency_ns = ns(config.latency_s)
-        self._exposure_ns = ns(config.exposure_s)
-        self._focal_px = config.lens().focal_px[0]
-        self._ticker = Ticker(1.0 / config.rate_hz, self._show, delay_s=config.latency_s)
+        self._shutter = Shutter(config, self.context, self.publish)
 
     @classmethod
     def load(cls, config: SimCameraConfig) -> None:
@@ -83,61 +40,18 @@ class SimCamera(Sensor[SimCameraConfig, CameraFrame]):
 
     async def open(self) -> None:
         world = flat_world(self.context)
-        mount = self.context.mount
-        check_mount(self.context.name, mount)
-        self._rng = world.generator(self.context.name)
-        camera = FloorCamera(self.config.lens(), mount)
+        check_mount(self.context.name, self.context.mount)
+        rng = world.generator(self.context.name)
+        camera = FloorCamera(self.config.lens(), self.context.mount)
         try:
-            self._renderer = Renderer(camera, world.map, self.config.look(), self._rng, world.scene)
+            renderer = Renderer(camera, world.map, self.config.look(), rng, world.scene)
         except ValueError as error:
             raise DeviceMisconfigured(f"map {world.map.name}: {error}") from error
-        self._world = world
-        self._sequence = 0
-        self._ticker.start()
+        self._shutter.start(world, renderer.picture, rng)
 
     async def close(self) -> None:
-        self._ticker.stop()
-        self._world = self._renderer = None
+        self._shutter.stop()
 
-    def picture(self, pose: tuple[float, float, float]) -> Bytes2D:
+    def picture(self, pose: Pose) -> Bytes2D:
         """What the camera sees now if the base rests at `pose` in map, uint8 (height, width, 3); only while open."""
-        if self._renderer is None or self._world is None:
-            raise RuntimeError(f"{self.context.name} is not open")
-        return self._renderer.picture(pose, self._world.second(self.context.clock.now_ns()))
-
-    def _show(self) -> None:
-        if self._world is None or self._renderer is None:
-            return
-        stamp_ns = self.context.clock.now_ns() - self._latency_ns
-        self._sequence += 1
-        if self.config.frame_loss > 0.0 and self._rng.random() < self.config.frame_loss:
-            return
-        half_ns = self._exposure_ns // 2
-        # where the latency is shorter than half the exposure, the rest of it is as the last instant
-        begin, middle, end = self._world.poses(np.array([stamp_ns - half_ns, stamp_ns, stamp_ns + half_ns]))
-        views = self._views(begin, end)
-        shares = (np.arange(views) + 0.5) / views
-        during = [_wrapped(begin + share * (end - begin)) for share in shares] if views > 1 else ()
-        bgr = self._renderer.picture(_wrapped(middle), self._world.second(stamp_ns), during)
-        self.publish(CameraFrame(stamp_ns, bgr, self._sequence, self.context.name))
-
-    def _views(self, begin: Float64s, end: Float64s) -> int:
-        """How many views the blur of an exposure needs: about one for each pixel that the picture moves."""
-        if self._exposure_ns == 0:
-            return 1
-        moved_m = math.hypot(*(end - begin)[:2])
-        moved_rad = abs(float(end[2] - begin[2])) + moved_m / self.context.mount.z_m / 2.0
-        return min(_MOST_VIEWS, max(1, math.ceil(moved_rad * self._focal_px - 0.25)))
-
-
-def _wrapped(pose: Float64s) -> tuple[float, float, float]:
-    return float(pose[0]), float(pose[1]), math.remainder(float(pose[2]), math.tau)
-
-
-def check_mount(name: str, mount: Mount) -> None:
-    """Raises DeviceMisconfigured for a camera that would lie on the floor."""
-    if not mount.z_m > 0.0:
-        raise DeviceMisconfigured(
-            f"{name}: a camera needs its height above the floor; write for example "
-            f"`robot: {{mounts: {{{name}: {{x_m: 0.06, z_m: 0.11, pitch_rad: 0.35}}}}}}`"
-        )
+        return self._shutter.picture(pose)

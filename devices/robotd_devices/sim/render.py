@@ -12,7 +12,7 @@ from robotd.world.messages import Bytes2D, Float64s
 from robotd_devices.sim.billboards import Billboards
 from robotd_devices.sim.floor import LEVELS, FloorLook, draw_floor
 from robotd_devices.sim.lens import FloorCamera
-from robotd_devices.sim.light import Shadows, drawn_drift
+from robotd_devices.sim.light import Shadows
 from robotd_devices.sim.look import Look
 from robotd_devices.sim.maps import WorldMap
 from robotd_devices.sim.room import COLUMNS_PER_TURN, draw_room
@@ -73,7 +73,6 @@ class Renderer:
         coarse = camera.floor_m(_grid(*self._size, _HALF)).astype(np.float32)
         coarse = coarse.reshape(math.ceil(self._size[1] / _HALF), math.ceil(self._size[0] / _HALF), 2)
         self._shadows = Shadows(look, world.bounds_m(), coarse[self._top // _HALF :], for_light)
-        self._drifts = [drawn_drift(look.light_drift_s, for_light) for _ in range(2)]
         self._sensor = Sensor(look, self._size, for_sensor)
 
     def picture(
@@ -94,8 +93,7 @@ class Renderer:
         blue, green = (cv2.LUT(grey, tint) for tint in self._tints)
         bgr = np.asarray(cv2.merge([blue, green, grey]), dtype=np.uint8)
         self._stand(bgr, pose, when_s, poses)
-        brightness = self._look.brightness * (1.0 + self._look.light_drift * self._drifts[0].at(when_s))
-        return self._sensor.picture(bgr, brightness, self._look.tint_drift * self._drifts[1].at(when_s))
+        return self._sensor.picture(bgr, when_s)
 
     def _floor_lit(
         self, pose: tuple[float, float, float], when_s: float, during: Sequence[tuple[float, float, float]]

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from robotd.world.messages import Bytes2D
-from robotd_devices.sim.look import Look
+from robotd_devices.sim.light import drawn_drift
+from robotd_devices.sim.look import SensorLook
 
 _NOISE_SPARE_PX = 61
 _NOISE_ZERO = 128
@@ -14,23 +15,26 @@ _NOISE_ZERO = 128
 class Sensor:
     """From what comes to the lens, in full light, to the picture that is published.
 
-    size: width and height. The noise picture is drawn from `rng` once, its place in each frame anew.
+    size: width and height. Light and white balance wander with the world's time. The noise picture is drawn from `rng`
+    once, its place in each frame anew.
     """
 
-    def __init__(self, look: Look, size: tuple[int, int], rng: np.random.Generator) -> None:
+    def __init__(self, look: SensorLook, size: tuple[int, int], rng: np.random.Generator) -> None:
         self._look = look
         self._size = size
         self._rng = rng
+        self._brightness, self._balance = (drawn_drift(look.light_drift_s, rng) for _ in range(2))
         self._light = self._lit()
         self._noise = self._make_noise()
 
-    def picture(self, bgr: Bytes2D, brightness: float, tint: float) -> Bytes2D:
-        """uint8 (height, width, 3), a new array. `brightness`: factor on all light; `tint`: share of blue over red."""
+    def picture(self, bgr: Bytes2D, when_s: float) -> Bytes2D:
+        """uint8 (height, width, 3), a new array; `when_s`: second of the world."""
         import cv2
 
+        brightness = self._look.brightness * (1.0 + self._look.light_drift * self._brightness.at(when_s))
         seen = cv2.multiply(bgr, self._light, scale=brightness / 255.0)
-        if tint != 0.0:
-            seen = cv2.LUT(seen, _balance(tint))
+        if self._look.tint_drift > 0.0:
+            seen = cv2.LUT(seen, _balance(self._look.tint_drift * self._balance.at(when_s)))
         if self._look.noise_std > 0.0:
             seen = cv2.addWeighted(seen, 1.0, self._some_noise(), 1.0, -_NOISE_ZERO)
         if self._look.jpeg_quality is not None:

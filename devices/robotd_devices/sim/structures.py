@@ -77,7 +77,8 @@ class Structures:
         shown &= there >= self._from_m[band]
         known = np.where(np.isfinite(reach_m), reach_m, 0.0)
         panels = _panels(origin_m[0] + known * np.cos(bearings_rad), origin_m[1] + known * np.sin(bearings_rad))
-        np.copyto(picture[band], panels.take(bins, axis=0), where=shown[..., None])
+        pixels = np.flatnonzero(shown)
+        picture[band].reshape(-1, 3)[pixels] = panels[bins.ravel()[pixels]]
         return Hidden(band, shown, there)
 
 
