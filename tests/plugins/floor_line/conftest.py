@@ -64,7 +64,6 @@ def floor() -> Callable[..., Floor]:
         if isinstance(tapes, str):
             return Floor(load_map(tapes), seed, **how)
         lines = [Tape(np.array(corners, dtype=np.float64)) for corners in tapes]
-        walls = [(-3.0, -3.0, 3.0, -3.0), (-3.0, 3.0, 3.0, 3.0)]
-        return Floor(map_from_segments(walls, lines=lines), seed, **how)
+        return Floor(map_from_segments(lines=lines), seed, **how)
 
     return make

@@ -161,7 +161,7 @@ def test_where_there_is_no_line_none_is_seen(
     floor: Callable[..., Any], look: Callable[..., LineSeen], what: str, change: Callable[[Any], Any], reason: str
 ) -> None:
     for gloss in (0.0, 40.0, 90.0):
-        seen = look(change(floor([[(5.0, 5.0), (6.0, 5.0)]], gloss=gloss).picture()))
+        seen = look(change(floor([[(-1.5, 0.0), (-1.0, 0.0)]], gloss=gloss).picture()))
         assert not seen.near.is_seen and not seen.far.is_seen, (what, seen)
         assert (seen.bar, seen.end) == (None, None), what
         assert seen.reason.startswith(reason), (what, seen.reason)
