@@ -16,14 +16,26 @@ from typing import Any
 import aiohttp
 
 SWITCHES = (
-    "--headless=new --no-sandbox --disable-gpu --disable-dev-shm-usage --no-first-run --disable-extensions "
-    "--disable-background-networking --disable-component-update --disable-sync --mute-audio --hide-scrollbars "
-    "--remote-debugging-port=0"
-).split()
+    "--headless=new",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-dev-shm-usage",
+    "--no-first-run",
+    "--disable-extensions",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--mute-audio",
+    "--remote-debugging-port=0",
+)
 
 
 class PageError(AssertionError):
     """The page threw, or did not do in time what it was waited for."""
+
+
+class Navigated(PageError):
+    """The page went elsewhere before it answered."""
 
 
 class Tab:
@@ -55,22 +67,32 @@ class Tab:
         return told["result"].get("value")
 
     async def until(self, condition: str, within_s: float = 10.0) -> None:
-        """Wait in the page, frame by frame, until a JavaScript expression is true."""
+        """Wait in the page until a JavaScript expression is true, through reloads. One that throws is not true yet."""
         script = f"""new Promise((resolve) => {{
-            const look = () => {{ if ({condition}) resolve(true); else setTimeout(look, 20); }}; look(); }})"""
+            const look = () => {{
+                let good = false;
+                try {{ good = {condition}; }} catch {{}}
+                if (good) resolve(true); else setTimeout(look, 20);
+            }};
+            look(); }})"""
         try:
             async with asyncio.timeout(within_s):
-                await self.run(script)
+                while True:
+                    try:
+                        await self.run(script)
+                        return
+                    except Navigated:
+                        continue
         except TimeoutError:
             text = await self.run("document.body.innerText")
             raise PageError(f"not within {within_s:g} s: {condition}\n{text}\n{self.complaints}") from None
 
     async def click(self, selector: str) -> None:
         """Press and release the mouse in the middle of an element, as a person does."""
-        x, y = await self.run(
-            f"""(() => {{ const e = document.querySelector({json.dumps(selector)}); e.scrollIntoView({{block: "center"}});
-            const b = e.getBoundingClientRect(); return [b.x + b.width / 2, b.y + b.height / 2]; }})()"""
-        )
+        found = f"document.querySelector({json.dumps(selector)})"
+        await self.run(f"{found}.scrollIntoView({{block: 'center'}})")
+        box = await self.run(f"(({{x, y, width, height}}) => [x, y, width, height])({found}.getBoundingClientRect())")
+        x, y = box[0] + box[2] / 2, box[1] + box[3] / 2
         for kind in ("mousePressed", "mouseReleased"):
             await self.ask("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
 
@@ -90,18 +112,22 @@ class Tab:
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         await self.ask("Emulation.setEmulatedMedia", features=[scheme])
 
-    async def screenshot(self, path: Path) -> None:
+    async def screenshot(self) -> bytes:
+        """What the window shows now, as PNG."""
         shot = await self.ask("Page.captureScreenshot", format="png")
-        path.write_bytes(base64.b64decode(shot["data"]))
+        return base64.b64decode(shot["data"])
 
     async def _read(self) -> None:
         async for message in self._wire:
             told = json.loads(message.data)
             if "id" in told:
                 waiting = self._waiting.pop(told["id"])
+                if waiting.done():
+                    continue
                 if "error" in told:
-                    waiting.set_exception(PageError(str(told["error"])))
-                elif not waiting.done():
+                    kind = Navigated if "navigated" in told["error"]["message"] else PageError
+                    waiting.set_exception(kind(told["error"]["message"]))
+                else:
                     waiting.set_result(told["result"])
             elif told["method"] == "Runtime.exceptionThrown":
                 details = told["params"]["exceptionDetails"]

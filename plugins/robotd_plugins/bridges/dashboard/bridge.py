@@ -24,7 +24,7 @@ from robotd_plugins.bridges.dashboard.news import (
     ScanChannel,
     StatusChannel,
 )
-from robotd_plugins.bridges.dashboard.viewer import EventLog, Viewer
+from robotd_plugins.bridges.dashboard.viewer import EVENTS, EventLog, Viewer
 
 log = logging.getLogger("robotd")
 
@@ -198,9 +198,8 @@ class Dashboard(Bridge[DashboardConfig]):
                     version = channel.newest(now_ns)
                     if version is not None and viewer.lacks(channel.name, version):
                         viewer.give(channel.name, version, now_ns, channel.message(version))
-            if viewer.events_seen < self._events.last:
-                viewer.give("events", self._events.last, now_ns, self._events.message(viewer.events_seen))
-                viewer.events_seen = self._events.last
+            if self._events.last and viewer.lacks(EVENTS, self._events.last):
+                viewer.give(EVENTS, self._events.last, now_ns, self._events.message(viewer.events_told))
 
     def _hurry(self) -> None:
         """What just changed does not wait for the status's own period."""

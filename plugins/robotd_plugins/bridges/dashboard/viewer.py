@@ -11,7 +11,7 @@ import asyncio
 import dataclasses
 from collections import deque
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from typing import TypeAlias, cast
 
 from robotd_plugins.bridges.dashboard.messages import dumps
 
@@ -22,6 +22,8 @@ ANSWERS_MAX = 32
 ASKS_PER_S = 100.0
 ASKS_BURST = 200.0
 """More messages than a page of ours could send end the connection."""
+EVENTS = "events"
+"""The one channel whose message depends on what the page was told before: `events_told` is its last entry."""
 EVENTS_KEPT = 100
 
 
@@ -61,7 +63,7 @@ class Viewer:
     heard_s: float
     camera: str | None = None
     wake: asyncio.Event = field(default_factory=asyncio.Event)
-    events_seen: int = 0
+    events_told: int = 0
     _answers: deque[str] = field(default_factory=lambda: deque(maxlen=ANSWERS_MAX))
     _newest: dict[str, Payload] = field(default_factory=dict)
     _sent: dict[str, tuple[object, int]] = field(default_factory=dict)
@@ -122,6 +124,8 @@ class Viewer:
         if self._newest and self.keeps_up:
             self._beat += 1
             out += self._newest.values()
+            if EVENTS in self._newest:
+                self.events_told = cast(int, self._sent[EVENTS][0])
             out.append(dumps({"kind": "beat", "n": self._beat}))
             self._newest.clear()
         return out

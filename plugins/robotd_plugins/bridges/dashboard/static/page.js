@@ -130,7 +130,11 @@ function tick() {
 
 function draw() {
   if (!seen.hello) return;
-  const drawings = Object.entries(seen.drawings).map(([name, items], index) => ({ name, index, items }));
+  // what a behaviour drew last is no longer meant once it has ended
+  const ended = new Set(seen.status?.behaviours.filter((b) => !b.active).map((b) => b.name));
+  const drawings = Object.entries(seen.drawings)
+    .map(([name, items], index) => ({ name, index, items }))
+    .filter(({ name }) => !ended.has(name));
   scene.draw(seen.scans, seen.hello.footprint_m, drawings);
   note($("scan-note"), seen.hello.scans[0], seen.scans.some(Boolean), "no lidar");
   const camera = $("camera-pick").value;
@@ -185,6 +189,10 @@ for (const button of document.querySelectorAll("[data-do]")) {
   button.addEventListener("click", () => ask({ do: button.dataset.do }));
 }
 $("camera-pick").addEventListener("change", look);
+$("reach-pick").addEventListener("change", (event) => {
+  scene.chosen = Number(event.target.value) || null;
+  draw();
+});
 
 // the space bar is the e-stop wherever the focus is, and so never presses a button
 for (const kind of ["keydown", "keyup"]) {

@@ -1,6 +1,6 @@
 // Draws on the two canvases: the scan from above with what the plugins explain, and the camera with its overlays.
 
-const VIEWS_M = [1, 1.5, 2, 3, 5, 8, 12, 20, 40];
+const VIEWS_M = [1, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10, 12, 16, 20, 30, 40];
 const SHADES = 4;
 
 let colours = {};
@@ -48,6 +48,7 @@ export class Scene {
   constructor(canvas) {
     this.canvas = canvas;
     this.reach = 2;
+    this.chosen = null; // metres from the middle to the edge, null: as the scan needs
   }
 
   /** scans: by index; footprint: corners in base; drawings: [{name, index, items}] */
@@ -67,18 +68,22 @@ export class Scene {
 
   /** The smallest view that holds nine tenths of the returns; it shrinks only when clearly too large. */
   chooseReach(scans, footprint) {
+    if (this.chosen) {
+      this.reach = this.chosen;
+      return;
+    }
     const all = [];
     for (const scan of scans) if (scan) for (const range of scan.ranges) if (Number.isFinite(range)) all.push(range);
     if (!all.length) return;
     all.sort((a, b) => a - b);
     const body = Math.max(...footprint.map(([x, y]) => Math.hypot(x, y)));
-    const wanted = Math.max(1.15 * all[Math.floor(0.9 * (all.length - 1))], 3 * body);
+    const wanted = Math.max(1.1 * all[Math.floor(0.9 * (all.length - 1))], 3 * body);
     const fitting = VIEWS_M.find((view) => view >= wanted) ?? VIEWS_M.at(-1);
     if (fitting > this.reach || wanted < 0.6 * this.reach) this.reach = fitting;
   }
 
   rings(pen, cx, cy, scale, far) {
-    const step = this.reach <= 1.5 ? 0.25 : this.reach <= 3 ? 0.5 : this.reach <= 8 ? 1 : this.reach <= 12 ? 2 : 5;
+    const step = this.reach <= 0.5 ? 0.1 : this.reach <= 1.5 ? 0.25 : this.reach <= 3 ? 0.5 : this.reach <= 8 ? 1 : this.reach <= 12 ? 2 : 5;
     pen.lineWidth = 1;
     pen.strokeStyle = colours.rings;
     for (let radius = step; radius * scale < far; radius += step) {
