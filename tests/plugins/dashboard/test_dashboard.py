@@ -239,6 +239,35 @@ def test_without_the_token_nothing_is_seen() -> None:
     watch(scenario, token=TOKEN)
 
 
+@pytest.mark.parametrize(
+    ("request_bytes", "status"),
+    [
+        (b"\x00\xff garbage\r\n\r\n", b"400"),
+        (b"GET / HTTP/1.1\r\n\r\n", b"400"),
+        (b"GET / HTTP/1.1\r\nHost: localhost\r\nHost: evil.example\r\n\r\n", b"400"),
+        (b"GET /" + b"a" * 9000 + b" HTTP/1.1\r\nHost: localhost\r\n\r\n", b"400"),
+        (b"GET /../config.py HTTP/1.1\r\nHost: localhost\r\n\r\n", b"404"),
+        (b"GET /%2e%2e%2fconfig.py HTTP/1.1\r\nHost: localhost\r\n\r\n", b"404"),
+        (b"GET /static/page.js HTTP/1.1\r\nHost: localhost\r\n\r\n", b"404"),
+        (b"PUT / HTTP/1.1\r\nHost: localhost\r\nContent-Length: 0\r\n\r\n", b"405"),
+    ],
+)
+def test_bad_http_is_answered_and_fills_no_log(
+    request_bytes: bytes, status: bytes, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def scenario(dashboard: Dashboard, runtime: Runtime) -> None:
+        await dashboard.serving.wait()
+        reader, writer = await asyncio.open_connection("127.0.0.1", int(dashboard.url.split(":")[2].strip("/")))
+        writer.write(request_bytes)
+        async with asyncio.timeout(WITHIN_S):
+            assert (await reader.readline()).split()[1] == status
+        writer.close()
+        await writer.wait_closed()
+
+    watch(scenario)
+    assert [record for record in caplog.records if record.exc_info] == []
+
+
 def test_one_page_too_many_is_told_so() -> None:
     async def scenario(dashboard: Dashboard, runtime: Runtime) -> None:
         async with opened(dashboard), opened(dashboard):

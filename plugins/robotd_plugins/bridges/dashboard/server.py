@@ -12,6 +12,7 @@ from importlib import resources
 from typing import TYPE_CHECKING
 
 from aiohttp import WSMsgType, web
+from aiohttp.http_exceptions import HttpProcessingError
 from aiohttp.typedefs import Handler
 
 from robotd_plugins.bridges.dashboard.asking import TEXT_BYTES_MAX, Garbage, parse
@@ -22,10 +23,13 @@ if TYPE_CHECKING:
     from robotd_plugins.bridges.dashboard.viewer import Viewer
 
 log = logging.getLogger("robotd")
+http_log = logging.getLogger("robotd.page")
+http_log.addFilter(lambda record: not _is_bad_http(record))
 
 KINDS = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
 SEND_BUFFER_BYTES = 65536
 """Of the kernel, for each viewer: what lies in there is old by the time that it is read."""
+BODY_S = 5.0
 HEADERS = {
     # nothing from elsewhere, nothing inline, no frame around us
     "Content-Security-Policy": (
@@ -51,6 +55,12 @@ def static_files() -> dict[str, tuple[bytes, str]]:
     }
 
 
+def _is_bad_http(record: logging.LogRecord) -> bool:
+    """Whether aiohttp complains about what a stranger sent, at length; that is answered with 400 and no news here."""
+    error = record.exc_info[1] if record.exc_info else None
+    return isinstance(error, HttpProcessingError)
+
+
 class PageServer:
     """Speaks HTTP for a `Dashboard`: `start`, then `listen` (again after an OSError), at the end `close`."""
 
@@ -63,7 +73,9 @@ class PageServer:
         app.router.add_get("/live", self._live)
         app.router.add_post("/login", self._login)
         app.router.add_get("/{name}", self._file)
-        self._runner = web.AppRunner(app, access_log=None, shutdown_timeout=0.5, keepalive_timeout=30.0)
+        self._runner = web.AppRunner(
+            app, logger=http_log, access_log=None, shutdown_timeout=0.5, keepalive_timeout=30.0
+        )
 
     async def start(self) -> None:
         """Before `listen`."""
@@ -124,7 +136,11 @@ class PageServer:
         return web.Response(body=body, status=status, content_type=kind, charset="utf-8")
 
     async def _login(self, request: web.Request) -> web.Response:
-        form = await request.post()
+        try:
+            async with asyncio.timeout(BODY_S):
+                form = await request.post()
+        except TimeoutError:
+            raise web.HTTPRequestTimeout from None
         if not self._gate.is_token(str(form.get("token", ""))):
             self._say(request, "wrong token")
             return self._static("login.html", status=401)
