@@ -112,8 +112,8 @@ class _Watch:
 
 @contextlib.contextmanager
 def _signals(loop: Any, runtime: Runtime) -> Iterator[None]:
-    """INT, TERM and HUP end the run in good order; a second Ctrl-C does not wait for it."""
-    before = {number: signal.getsignal(number) for number in SIGNALS}
+    """INT, TERM and HUP end the run in good order, a second Ctrl-C does not wait; TSTP stops the motors first."""
+    before = {number: signal.getsignal(number) for number in (*SIGNALS, signal.SIGTSTP)}
 
     def stop(number: signal.Signals) -> None:
         log.info("%s: stopping", number.name)
@@ -122,10 +122,11 @@ def _signals(loop: Any, runtime: Runtime) -> Iterator[None]:
 
     for number in SIGNALS:
         loop.add_signal_handler(number, stop, number)
+    loop.add_signal_handler(signal.SIGTSTP, runtime.suspend)
     try:
         yield
     finally:
-        for number in SIGNALS:
+        for number in before:
             loop.remove_signal_handler(number)
             signal.signal(number, before[number])
 

@@ -11,7 +11,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.nodes import MappingNode, ScalarNode, SequenceNode
 
 from robotd.authoring.config import Config
-from robotd.safety.settings import GuardConfig
+from robotd.safety.settings import GuardConfig, GuardianConfig
 from robotd.setup.registry import Registry
 from robotd.setup.sections import (
     ENTRIES,
@@ -27,6 +27,7 @@ Path: TypeAlias = tuple[str | int, ...]
 _SECTIONS: dict[str, type[Config]] = {
     "robot": RobotSection,
     "guard": GuardConfig,
+    "guardian": GuardianConfig,
     "operator": OperatorSection,
     "recorder": RecorderSection,
 }

@@ -18,6 +18,8 @@ from robotd.authoring.device import (
     DeviceError,
     DeviceMisconfigured,
     DeviceUnavailable,
+    I2cStop,
+    StopLine,
     Watchdog,
 )
 from robotd.world.kinematics import Differential
@@ -106,10 +108,9 @@ class JetBotMotors(Actuator[JetBotMotorsConfig, Drive]):
     def publish_period_s(cls, config: JetBotMotorsConfig) -> float | None:
         return 1.0 / config.odometry_hz if config.odometry_hz > 0.0 else None
 
-    def stop_writes(self) -> tuple[tuple[int, int, bytes], ...]:
-        """The stop as data, for whoever holds the line when this program does not: (address, register, bytes)."""
+    def stop_line(self) -> StopLine:
         address, register, data = pca9685.all_off(self.config.address)
-        return ((address, register, data),)
+        return I2cStop(i2c_bus.bus_path(self.config.bus), ((address, bytes((register,)) + data),))
 
     async def open(self) -> None:
         config, body = self.config, self.context.robot.kinematics

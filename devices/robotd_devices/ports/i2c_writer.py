@@ -17,6 +17,8 @@ from robotd_devices.ports.i2c_bus import I2cBus, I2cWrite
 
 T = TypeVar("T")
 
+FRESH_S = 0.06
+"""An older command is not written any more: a program that was frozen half way through one wakes up to a stop."""
 RETRIES = 2
 RETRY_AFTER_S = 0.002
 _CLOSE_WITHIN_S = 0.15
@@ -65,6 +67,7 @@ class I2cWriter(Generic[T]):
         self._on_lost = on_lost
         self._mail = threading.Condition()
         self._wanted: T | None = None
+        self._until_s = 0.0
         self._stop_due = False
         self._closing = False
         self._silent = False
@@ -86,6 +89,7 @@ class I2cWriter(Generic[T]):
         """The command to write next; one that still waits is forgotten. Never blocks."""
         with self._mail:
             self._wanted = command
+            self._until_s = time.monotonic() + FRESH_S
             self._mail.notify()
 
     def stop(self) -> None:
@@ -161,9 +165,12 @@ class I2cWriter(Generic[T]):
                 check_at_s = time.monotonic() + chip.check_s
 
     def _write_all(self, bus: I2cBus, writes: Sequence[I2cWrite]) -> bool:
-        """False where a stop came in between: the rest is not written, the stop is next."""
+        """False where a stop came in between, or time ran out: the rest is not written, the stop is next."""
         for write in writes:
             if self._stop_due:
+                return False
+            if time.monotonic() > self._until_s:
+                self.stop()
                 return False
             self._write(bus, write)
         return True

@@ -13,7 +13,7 @@ from __future__ import annotations
 import types
 import typing
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Generic, Literal, Protocol
+from typing import Any, ClassVar, Generic, Literal, Protocol, TypeAlias
 
 from typing_extensions import TypeVar
 
@@ -147,6 +147,32 @@ class Watchdog:
     timeout_ms: int | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class SerialStop:
+    """The stop on a serial line as data, for the guardian.
+
+    path: the line as this driver has it open; the guardian gets a duplicate of that very descriptor. data: the stop
+    after as many delimiters as it takes to end a frame that was cut in two.
+    """
+
+    path: str
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class I2cStop:
+    """The stop on an I2C bus as data, for the guardian.
+
+    bus: `/dev/i2c-1`, or the path of a fake bus's socket. writes: (address, register and what is written from it on).
+    """
+
+    bus: str
+    writes: tuple[tuple[int, bytes], ...]
+
+
+StopLine: TypeAlias = SerialStop | I2cStop
+
+
 class Actuator(Device[ConfigT], Generic[ConfigT, CommandT]):
     """Takes commands: `class JetBotMotors(Actuator[MotorConfig, Drive])`.
 
@@ -171,6 +197,13 @@ class Actuator(Device[ConfigT], Generic[ConfigT, CommandT]):
     def halt(self) -> None:
         """Stop now: drop what is unsent, write the stop. Never blocks, never raises."""
         raise NotImplementedError(f"{type(self).__qualname__}.halt")
+
+    def stop_line(self) -> StopLine | None:
+        """The stop as data, asked for after each `open`: the guardian writes it when this program no longer breathes.
+
+        A driver that defines this gets a guardian; None: this one has no line that another process could write to.
+        """
+        return None
 
     def publish(self, message: Message) -> None:
         """Hand over a message of one of the types in `emits`."""

@@ -164,7 +164,7 @@ class Core:
         self.needed_devices = _needed_devices(parts, graph)
         self._expiries_armed: set[tuple[int, int]] = set()
         self._acting = False
-        self._late: deque[Callable[[], None]] = deque()
+        self._late: deque[Callable[[], object]] = deque()
         self._latest = {
             node.index: tuple(
                 (i, graph.slots[spec.topic.name], within_ns)
@@ -236,6 +236,9 @@ class Core:
 
     def request(self, request: Request, now_ns: int) -> str:
         """An operator's request; returns the reason of a refusal, or an empty string."""
+        if self._acting:  # the way to the base is closed while it is written to: a turn of its own, after this one
+            self._late.append(partial(self.request, request, now_ns))
+            return ""
         if self._journal is not None:
             self._journal.note("request", type(request).__name__, now_ns, request)
         if isinstance(request, Teleop) and self._base_takes is Steer and isinstance(request.drive, Drive):
@@ -261,14 +264,19 @@ class Core:
         self._open[name] = True
 
     def device_lost(self, name: str, reason: str, now_ns: int) -> None:
-        """A device went away: what it said counts as missing, and a robot that needs it is disarmed."""
+        """A device went away: what it said counts as missing, and a robot that needs it is disarmed.
+
+        A name that is none of the config's devices (the guardian) is needed from its first word on.
+        """
         if self._acting:  # the base broke while it was written to
             self._late.append(partial(self.device_lost, name, reason, now_ns))
             return
         if self._journal is not None:
             self._journal.note("lost", name, now_ns, reason)
         self._open[name] = False
-        for slot in self._device_slots[name]:
+        if name not in self._device_slots:
+            self.needed_devices |= {name}
+        for slot in self._device_slots.get(name, ()):
             slot.clear()
         if name in self.needed_devices and self.operator.armed:
             answer = decide(self.operator, Disarm("runtime", reason), self._facts(), now_ns)

@@ -92,6 +92,7 @@ class KeptDevice:
         self.losses += 1
         self.state, self.detail = "lost", str(error)
         log.warning("%s", error if str(error).startswith(self.name) else f"{self.name}: {error}")
+        self.on_gone()
         if self._core is not None:
             try:
                 self._core.device_lost(self.name, str(error), self._clock.now_ns())
@@ -110,6 +111,9 @@ class KeptDevice:
         """The turn's write. A base that is not open takes nothing."""
         if self.state == "open":
             assert isinstance(self.device, Actuator)
+            if not self.may_write():
+                self.device.halt()
+                return
             try:
                 self.device.apply(command)
             except (DeviceError, OSError) as error:
@@ -159,6 +163,9 @@ class KeptDevice:
             await sleep(backoff_s)
 
     on_open: Callable[[], None] = staticmethod(lambda: None)
+    on_gone: Callable[[], None] = staticmethod(lambda: None)
+    may_write: Callable[[], bool] = staticmethod(lambda: True)
+    """Asked before each command; where it says no, the base is stopped instead. Set where there is a guardian."""
 
     async def close(self) -> None:
         """The way out. Until here the state stays what it was, so that every halt on the way still gets through."""

@@ -11,7 +11,7 @@ from robotd.authoring.bridge import Bridge
 from robotd.authoring.config import Config, Goal
 from robotd.authoring.device import Device, World
 from robotd.authoring.perceptor import Perceptor
-from robotd.safety.settings import GuardConfig
+from robotd.safety.settings import GuardConfig, GuardianConfig
 from robotd.world.robot import Robot
 
 
@@ -78,6 +78,7 @@ class Parts:
     behaviours: tuple[BehaviourPart, ...] = ()
     bridges: tuple[BridgePart, ...] = ()
     guard: GuardConfig = field(default_factory=GuardConfig)
+    guardian: GuardianConfig = field(default_factory=GuardianConfig)
     act_hz: float = 50.0
     arm_at_start: bool = False
     world: WorldPart | None = None

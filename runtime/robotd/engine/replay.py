@@ -17,6 +17,7 @@ from robotd.authoring.view import View
 from robotd.engine.codec import RecordError, allow, decode, encode
 from robotd.engine.core import Core
 from robotd.engine.graph import Graph, compile_graph, device_topics
+from robotd.engine.guarding import GUARDIAN
 from robotd.engine.journal import FORMAT, INPUTS
 from robotd.engine.nodes import Node, PerceptorNode
 from robotd.engine.parts import Parts, PerceptorPart
@@ -335,7 +336,8 @@ class Player:
         return nodes[index]
 
     def _device(self, entry: Entry) -> str:
-        self._find({part.name: part for part in self.parts.devices}, entry, "device")
+        if entry.topic != GUARDIAN:
+            self._find({part.name: part for part in self.parts.devices}, entry, "device")
         return entry.topic
 
     def _find(self, table: Mapping[str, Any], entry: Entry, what: str) -> Any:

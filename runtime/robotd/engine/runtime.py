@@ -10,28 +10,35 @@ from __future__ import annotations
 import asyncio
 import gc
 import logging
+import os
+import signal
+import socket
+import sys
 from collections.abc import Callable
 from typing import Any
 
 from robotd.authoring.bridge import Bridge
-from robotd.authoring.device import DeviceContext, World
+from robotd.authoring.device import Actuator, DeviceContext, World
 from robotd.engine.core import Base, Core, Journal
 from robotd.engine.devices import KeptDevice
 from robotd.engine.graph import base_of, compile_graph
+from robotd.engine.guarding import GUARDIAN, Guarding
 from robotd.engine.handle import RuntimeHandle
 from robotd.engine.loops import RobotLoop
 from robotd.engine.nodes import Node, PerceptorNode
 from robotd.engine.offload import ThreadOffloader, VirtualOffloader
 from robotd.engine.parts import BridgePart, Parts
-from robotd.safety.operator import Arm
+from robotd.safety.operator import Arm, Disarm
 from robotd.world.clock import ns
-from robotd.world.messages import Message
+from robotd.world.messages import EStopped, Event, Message
 
 log = logging.getLogger("robotd")
 
 GIVE_UP_S = 3.0
 """How long a needed device may be absent at start before robotd says so and exits."""
 BRIDGE_BACKOFF_S = (0.2, 1.0, 5.0)
+SUSPEND_AFTER_NS = 20_000_000
+"""What a driver's writer thread has for the stop before the whole process stands still."""
 
 
 class _NoBase:
@@ -61,6 +68,7 @@ class Runtime:
         self.devices: tuple[KeptDevice, ...] = ()
         self.world: World[Any] | None = None
         self.handle: RuntimeHandle
+        self.guarding: Guarding | None = None
         self._loop: RobotLoop
         self._stopping: asyncio.Future[None]
         self._tick_timer: asyncio.TimerHandle | None = None
@@ -74,7 +82,7 @@ class Runtime:
 
     def fail(self, error: BaseException) -> None:
         """The turn itself broke: stop the motors at once, then end the run with this error."""
-        self.core.halt()
+        self._halt()
         if self.journal is not None:
             self.journal.note("failed", "", self._loop.now_ns(), f"{type(error).__name__}: {error}")
         if not self._stopping.done():
@@ -89,6 +97,7 @@ class Runtime:
         base = self._build(loop)
         self.started_ns = loop.now_ns()
         try:
+            self._start_guardian(base, loop)
             if self.world is not None:
                 await self.world.open()
             async with asyncio.TaskGroup() as group:
@@ -104,7 +113,7 @@ class Runtime:
                 try:
                     await self._stopping
                 finally:
-                    self.core.halt()
+                    self._halt()
                     for task in tasks:
                         task.cancel()
         finally:
@@ -158,6 +167,78 @@ class Runtime:
         """The base first: it writes its stop before any sensor speaks."""
         return ([base] if base is not None else []) + [kept for kept in self.devices if kept is not base]
 
+    # --------------------------------------------------------------------------------------- guardian
+
+    def _start_guardian(self, base: KeptDevice | None, loop: Any) -> None:
+        """Before anything opens or is forked. A simulated robot has no line that anybody could hold."""
+        if self.virtual or base is None:
+            return
+        cls, off = type(base.device), self.parts.guardian.off
+        if off is not None or getattr(cls, "stop_line", None) is Actuator.stop_line:
+            log.warning("no guardian for %s: %s", base.name, off or f"{cls.__name__} offers no stop line")
+            return
+        if not hasattr(socket, "SOCK_SEQPACKET") or sys.platform != "linux":
+            log.warning("no guardian for %s: it needs Linux", base.name)
+            return
+        deadline_ms = max(self.parts.guardian.deadline_ms, round(2.5e-6 * self._period_ns))
+        self.guarding = guarding = Guarding(loop, self, deadline_ms=deadline_ms)
+        self.guardian_lost("starts")
+        self.core.on_armed.append(guarding.armed)
+        self.core.on_event.append(self._stop_by_guardian)
+        base.may_write = guarding.may_write
+        base.on_open = lambda: self._hand_over(base)
+        base.on_gone = guarding.drop
+        guarding.start()
+
+    def _hand_over(self, base: KeptDevice) -> None:
+        assert self.guarding is not None and isinstance(base.device, Actuator)
+        stop = base.device.stop_line()
+        if stop is not None:
+            self.guarding.hand_over(stop)
+        else:
+            log.warning("the guardian holds nothing: %s offers no stop line", base.name)
+            self.guardian_ready()
+
+    def guardian_ready(self) -> None:
+        """The guardian holds the motor line."""
+        self.core.device_opened(GUARDIAN, self._loop.now_ns())
+        self._device_opened()
+
+    def guardian_lost(self, reason: str) -> None:
+        """The guardian holds no line, or is dead: nothing may move."""
+        try:
+            self.core.device_lost(GUARDIAN, reason, self._loop.now_ns())
+        except Exception as error:
+            self.fail(error)
+
+    def guardian_tripped(self, reason: str) -> None:
+        """The guardian stopped the motors, or is about to: disarmed, before anything else is written."""
+        log.error("%s", reason)
+        if self.core.operator.armed:
+            try:
+                self.core.request(Disarm("guardian", reason), self._loop.now_ns())
+            except Exception as error:
+                self.fail(error)
+
+    def _stop_by_guardian(self, event: Event) -> None:
+        if self.guarding is not None and isinstance(event, EStopped):
+            self.guarding.stop_now()
+
+    def _halt(self) -> None:
+        """A way out: the stop by the driver, and by the guardian in case the driver's line is stuck."""
+        self.core.halt()
+        if self.guarding is not None:
+            self.guarding.stop_now()
+
+    def suspend(self) -> None:
+        """Stop and disarm, then let the terminal stop this process; after SIGCONT it stands there, disarmed."""
+        if self.core.operator.armed:
+            self.core.request(Disarm("SIGTSTP", "suspended"), self._loop.now_ns())
+        self._halt()
+        self._loop.call_at_ns(self._loop.now_ns() + SUSPEND_AFTER_NS, os.kill, os.getpid(), signal.SIGSTOP)
+
+    # ----------------------------------------------------------------------------------------- arming
+
     def _device_opened(self) -> None:
         if self.arm_when_ready and not self.core.not_ready:
             self.arm_when_ready = False
@@ -192,6 +273,8 @@ class Runtime:
 
     def _tick(self, due_ns: int) -> None:
         now_ns = self._loop.now_ns()
+        if self.guarding is not None:
+            self.guarding.beat(self.core.operator.armed)
         late_ns = now_ns - due_ns
         self.tick_late_ns = late_ns
         missed, next_ns = skip_missed(due_ns, self._period_ns, now_ns)
@@ -215,7 +298,7 @@ class Runtime:
 
     async def _wind_up(self, base: KeptDevice | None) -> None:
         """Close in the reverse order: sensors, then the base, whose close writes the last stop, then the world."""
-        self.core.halt()
+        self._halt()
         if self._tick_timer is not None:
             self._tick_timer.cancel()
         for timer in self._timers.values():
@@ -223,6 +306,8 @@ class Runtime:
         self._offloader.close()
         for kept in reversed(self._in_order(base)):
             await kept.close()
+        if self.guarding is not None:
+            await self.guarding.close()
         if self.world is not None:
             await self.world.close()
 

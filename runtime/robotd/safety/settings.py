@@ -1,4 +1,4 @@
-"""Parameters of the guard, as they stand in a config's `guard:`."""
+"""Parameters of the guard and of the guardian, as they stand in a config's `guard:` and `guardian:`."""
 
 from __future__ import annotations
 
@@ -62,3 +62,12 @@ class GuardConfig(Config):
     latency_s: float = Field(default=0.1, ge=0.0, le=1.0)
     """From the light that hit the sensor to the wheels that obey, in seconds; part of the braking envelope."""
     contact: ContactAllowance | None = None
+
+
+class GuardianConfig(Config):
+    """The process that stops the motors when robotd is blocked, frozen or killed. Real hardware only."""
+
+    off: str | None = Field(default=None, min_length=3)
+    """Why this robot drives without it; a base whose driver offers no stop line has none either."""
+    deadline_ms: int = Field(default=100, ge=40, le=1000)
+    """Without a sign of life for this long it stops the motors, in ms; never less than two and a half act ticks."""

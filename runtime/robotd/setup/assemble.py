@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 from robotd.authoring.config import Config, NoConfig
 from robotd.authoring.device import World
 from robotd.engine.parts import BehaviourPart, BridgePart, DevicePart, Parts, PerceptorPart, WorldPart
-from robotd.safety.settings import GuardConfig, Zones
+from robotd.safety.settings import GuardConfig, GuardianConfig, Zones
 from robotd.setup.problems import Path
 from robotd.setup.registry import PluginError, Registry
 from robotd.setup.sections import (
@@ -83,6 +83,7 @@ class Assembler:
         self._blurred = not self._misspelt.isdisjoint(PLUGIN_SECTIONS)
         robot = self._section(RobotSection, top, "robot")
         guard = self._section(GuardConfig, top, "guard")
+        guardian = self._section(GuardianConfig, top, "guardian")
         operator = self._section(OperatorSection, top, "operator")
         recorder = self._section(RecorderSection, top, "recorder")
         single = checker.model(TopSection, {k: v for k, v in top.items() if k in TopSection.model_fields}, ())
@@ -100,6 +101,7 @@ class Assembler:
                 BridgePart(e.name, e.cls, e.config or NoConfig()) for e in entries["bridges"] if e.cls is not None
             ),
             guard=guard if guard is not None else _NO_GUARD,
+            guardian=guardian if guardian is not None else GuardianConfig(),
             act_hz=single.act_hz if single is not None else 50.0,
             arm_at_start=armed if self.sim else operator is not None and operator.arm_at_start,
             world=world,
@@ -337,7 +339,10 @@ class Assembler:
         near = nearest(key, SECTIONS)
         if near is not None:
             return f"did you mean '{near}'?"
-        for section, form in (("robot", RobotSection), ("guard", GuardConfig), ("operator", OperatorSection)):
+        forms: dict[str, type[Config]] = {
+            "robot": RobotSection, "guard": GuardConfig, "guardian": GuardianConfig, "operator": OperatorSection,
+        }  # fmt: skip
+        for section, form in forms.items():
             if key in form.model_fields:
                 return f"it belongs under `{section}:`"
         for section in PLUGIN_SECTIONS:

@@ -9,7 +9,7 @@ from pydantic import BaseModel
 
 from robotd.authoring.config import Config
 from robotd.authoring.device import World
-from robotd.safety.settings import GuardConfig
+from robotd.safety.settings import GuardConfig, GuardianConfig
 from robotd.setup.registry import PluginError, Registry
 from robotd.setup.sections import (
     ENTRIES,
@@ -47,6 +47,7 @@ def json_schema(registry: Registry, only: Iterable[str] | None = None) -> dict[s
     properties: dict[str, Any] = {
         "robot": _model(RobotSection, "robot", defs),
         "guard": _model(GuardConfig, "guard", defs),
+        "guardian": _model(GuardianConfig, "guardian", defs),
         "operator": _model(OperatorSection, "operator", defs),
         "recorder": _model(RecorderSection, "recorder", defs),
         **_model(TopSection, "top", defs)["properties"],

@@ -207,6 +207,7 @@ SECTIONS: tuple[str, ...] = (
     "perception",
     "behaviours",
     "guard",
+    "guardian",
     "operator",
     "bridges",
     "recorder",

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
-from robotd.authoring.device import DeviceLost, DeviceMisconfigured, DeviceUnavailable
+from robotd.authoring.device import DeviceLost, DeviceMisconfigured, DeviceUnavailable, I2cStop
 from robotd.testing import FakeLink, check_actuator, connected
 from robotd.world.kinematics import Mecanum
 from robotd.world.messages import STOP, Drive, Odometry, Steer
@@ -331,7 +331,7 @@ def test_declares_itself() -> None:
     assert JetBotMotors.sim_twin == "sim_base"
     assert (JetBotMotors.watchdog.kind, JetBotMotors.watchdog.timeout_ms) == ("none", None)
     assert JetBotMotors.publish_period_s(config) == 0.02
-    assert JetBotMotors(config).stop_writes() == ((0x60, 0xFD, b"\x10"),)
+    assert JetBotMotors(config).stop_line() == I2cStop("/dev/i2c-1", ((0x60, b"\xfd\x10"),))
 
 
 @pytest.mark.parametrize(
