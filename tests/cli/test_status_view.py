@@ -265,7 +265,7 @@ def test_a_robot_that_stands_always_has_a_reason(status: Status) -> None:
         (state(), state(now_ns=76_000_000_000, command=Drive(0.3), turns=13), []),
         (state(command=Drive()), state(), ["driving: jetbot_route"]),
         (state(), state(by="dock_approach"), ["driving: dock_approach"]),
-        (state(), state(behaviours=(dataclasses.replace(ROUTE, state="crossing"),)), ["jetbot_route: crossing"]),
+        (state(), state(behaviours=(dataclasses.replace(ROUTE, state="crossing"),)), []),
         (
             state(behaviours=()),
             state(behaviours=(dataclasses.replace(ROUTE, state="active"),)),

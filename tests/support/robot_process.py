@@ -176,25 +176,26 @@ class RobotProcess:
 
     def duties(self) -> tuple[int, int]:
         """Duty of the left and the right motor now, 0 to 4095, positive forward, as the chip's registers say."""
-        return self.wheel(8, 10, 9), self.wheel(13, 11, 12)
-
-    def wheel(self, pwm: int, in1: int, in2: int) -> int:
-        """One bridge of the Adafruit board; forward on a JetBot is in1 off, in2 on."""
-        if self._level(pwm) == 0:
-            return 0
-        ways = self._level(in1), self._level(in2)
-        assert ways in ((0, 4096), (4096, 0)), f"the bridge is neither forward nor backward: {ways}"
-        return self._level(pwm) if ways == (0, 4096) else -self._level(pwm)
-
-    def _level(self, channel: int) -> int:
-        """0 (off) to 4096 (full on) of one output."""
-        on_low, on_high, off_low, off_high = self.bus.read(0x60, 0x06 + 4 * channel, 4)
-        if off_high & 0x10:
-            return 0
-        if on_high & 0x10:
-            return 4096
-        return (off_low | off_high << 8) - (on_low | on_high << 8)
+        registers = self.bus.read(0x60, 0x06, 64)  # all sixteen outputs in one transaction
+        return _duty(registers, 8, 10, 9), _duty(registers, 13, 11, 12)
 
     def stands(self) -> bool:
         """Whether both motors are off."""
         return self.duties() == (0, 0)
+
+
+def _duty(registers: bytes, pwm: int, in1: int, in2: int) -> int:
+    """One bridge of the Adafruit board; forward on a JetBot is in1 off, in2 on. 0 while it changes its direction."""
+    ways = _level(registers, in1), _level(registers, in2)
+    sign = {(0, 4096): 1, (4096, 0): -1}.get(ways, 0)
+    return sign * _level(registers, pwm)
+
+
+def _level(registers: bytes, channel: int) -> int:
+    """0 (off) to 4096 (full on) of one output."""
+    on_low, on_high, off_low, off_high = registers[4 * channel : 4 * channel + 4]
+    if off_high & 0x10:
+        return 0
+    if on_high & 0x10:
+        return 4096
+    return (off_low | off_high << 8) - (on_low | on_high << 8)

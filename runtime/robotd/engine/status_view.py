@@ -244,7 +244,7 @@ def render(
 def changes(before: Status | None, after: Status) -> list[str]:
     """Sentences for what changed between two looks and is not logged where it happens, for a log without a view.
 
-    The engine itself logs modes, reasons for standing still, outcomes and lost devices.
+    The engine itself logs modes, reasons for standing still, outcomes and lost devices; a behaviour its own states.
     """
     said: list[str] = []
     if before is None and after.zones_off:
@@ -254,12 +254,10 @@ def changes(before: Status | None, after: Status) -> list[str]:
     for device in after.devices:
         if device.state == "open" and device.name not in was_open and known.get(device.name) != "lost":
             said.append(f"{device.name} is open")
-    states = {b.name: b.state for b in before.behaviours if b.active} if before else {}
+    active = {b.name for b in before.behaviours if b.active} if before else set()
     for b in after.behaviours:
-        if b.active and b.name not in states:
+        if b.active and b.name not in active:
             said.append(f"{b.name} is active{f': {b.state}' if b.state not in ('', 'active') else ''}")
-        elif b.active and states[b.name] != b.state:
-            said.append(f"{b.name}: {b.state}")
     drove = before.by if before is not None and is_moving(before) else ""
     if is_moving(after) and after.by and after.by != drove:
         said.append(f"driving: {after.by}")
