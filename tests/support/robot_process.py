@@ -140,15 +140,23 @@ class RobotProcess:
     def ask(self, name: str, *arguments: Any) -> Any:
         """Call a method of the process's `RuntimeLink`; a refusal raises AssertionError with its reason."""
         if self._door is None:
-            self.until(lambda: (self.folder / "door").exists(), "its bridge to open")
-            self._door = socket.socket(socket.AF_UNIX)
-            self._door.settimeout(10.0)
-            self._door.connect(str(self.folder / "door"))
-            self._lines = self._door.makefile("r")
+            self.until(self._connected, "its bridge to open")
+        assert self._door is not None
         self._door.sendall(json.dumps([name, *arguments]).encode() + b"\n")
         told = json.loads(self._lines.readline())
         assert "refused" not in told, told["refused"]
         return told["ok"]
+
+    def _connected(self) -> bool:
+        door = socket.socket(socket.AF_UNIX)
+        door.settimeout(10.0)
+        try:
+            door.connect(str(self.folder / "door"))
+        except OSError:  # not there yet, or bound and not listening yet
+            door.close()
+            return False
+        self._door, self._lines = door, door.makefile("r")
+        return True
 
     @property
     def reason(self) -> str:
