@@ -27,6 +27,7 @@ class SimBase(Actuator[SimBaseConfig, Drive]):
     counts. Raises DeviceMisconfigured for a car, which `sim_car` simulates.
     """
 
+    sim_twin: ClassVar[str | None] = "sim_base"
     emits: ClassVar[tuple[type[Message], ...]] = (Odometry,)
 
     def __init__(self, config: SimBaseConfig, context: DeviceContext | None = None) -> None:

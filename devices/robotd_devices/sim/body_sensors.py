@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import ClassVar
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -42,6 +43,8 @@ class SimImuConfig(Config):
 
 class SimImu(Sensor[SimImuConfig, Imu]):
     """Rates and specific force in base, as at the base's origin: gravity up, centripetal force included."""
+
+    sim_twin: ClassVar[str | None] = "sim_imu"
 
     def __init__(self, config: SimImuConfig, context: DeviceContext | None = None) -> None:
         super().__init__(config, context)
@@ -113,6 +116,8 @@ class SimBumperConfig(Config):
 class SimBumper(Sensor[SimBumperConfig, Contact]):
     """Closed while the outline touches a wall, post, box, card or person within its arc."""
 
+    sim_twin: ClassVar[str | None] = "sim_bumper"
+
     def __init__(self, config: SimBumperConfig, context: DeviceContext | None = None) -> None:
         super().__init__(config, context)
         self._world: FlatWorld | None = None
@@ -170,6 +175,8 @@ class SimBatteryConfig(Config):
 
 class SimBattery(Sensor[SimBatteryConfig, Battery]):
     """Empties with use and sags under load. Bases whose `battery_share` is not 0 slow down with it."""
+
+    sim_twin: ClassVar[str | None] = "sim_battery"
 
     def __init__(self, config: SimBatteryConfig, context: DeviceContext | None = None) -> None:
         super().__init__(config, context)

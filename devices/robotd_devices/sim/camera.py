@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 from robotd.authoring.device import DeviceContext, DeviceMisconfigured, Sensor
 from robotd.world.messages import Bytes2D, CameraFrame
 from robotd_devices.sim.lens import FloorCamera
@@ -25,6 +27,8 @@ class SimCamera(Sensor[SimCameraConfig, CameraFrame]):
     Height, pitch and place come from the robot's mount of this device; a camera at height 0 cannot see the floor
     and raises DeviceMisconfigured.
     """
+
+    sim_twin: ClassVar[str | None] = "sim_camera"
 
     def __init__(self, config: SimCameraConfig, context: DeviceContext | None = None) -> None:
         super().__init__(config, context)

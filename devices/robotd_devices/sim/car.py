@@ -136,6 +136,7 @@ class SimCar(Actuator[SimCarConfig, Steer]):
     Raises DeviceMisconfigured for kinematics other than ackermann.
     """
 
+    sim_twin: ClassVar[str | None] = "sim_car"
     emits: ClassVar[tuple[type[Message], ...]] = (Odometry,)
 
     def __init__(self, config: SimCarConfig, context: DeviceContext | None = None) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import ClassVar
 
 import numpy as np
 from pydantic import Field
@@ -15,7 +16,7 @@ from robotd_devices.sim.rays import cast
 from robotd_devices.sim.ticks import Ticker
 from robotd_devices.sim.world import FlatWorld, flat_world
 
-_HEIGHT_M = 0.1
+HEIGHT_M = 0.1
 """Of the beams' plane where the mount does not tell."""
 
 
@@ -58,6 +59,8 @@ class SimLidar(Sensor[SimLidarConfig, LidarScan]):
     mount's height says which cards and which part of a person it cuts, roll and pitch take no part.
     """
 
+    sim_twin: ClassVar[str | None] = "sim_lidar"
+
     def __init__(self, config: SimLidarConfig, context: DeviceContext | None = None) -> None:
         super().__init__(config, context)
         self._world: FlatWorld | None = None
@@ -96,9 +99,16 @@ class SimLidar(Sensor[SimLidarConfig, LidarScan]):
         )
         bearings_rad = self._exact_rad + (yaw_rad + mount.yaw_rad)
         origin_m = origins_m if len(origins_m) > 1 else origins_m[0]
-        start_ns = end_ns - self._ticker.period_ns if self.config.moving_sweep else end_ns
-        things = world.seen(start_ns, end_ns, mount.z_m if mount.z_m > 0.0 else _HEIGHT_M)
-        return cast(origin_m, bearings_rad, things.segments_m, things.circles_m, things.moves_m, self._shares)
+        return self.cast(world, end_ns, origin_m, bearings_rad)
+
+    def cast(self, world: FlatWorld, end_ns: int, origins_m: Float64s, bearings_rad: Float64s) -> Float64s:
+        """Exact ranges (beams,) from origins (beams, 2), or (2,) for one, along bearings (beams,), all in map."""
+        mount = self.context.mount
+        things = world.seen(self._start_ns(end_ns), end_ns, mount.z_m if mount.z_m > 0.0 else HEIGHT_M)
+        return cast(origins_m, bearings_rad, things.segments_m, things.circles_m, things.moves_m, self._shares)
+
+    def _start_ns(self, end_ns: int) -> int:
+        return end_ns - self._ticker.period_ns if self.config.moving_sweep else end_ns
 
     def _sweep(self) -> None:
         if self._world is None:

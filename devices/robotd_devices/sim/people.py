@@ -20,8 +20,8 @@ _SWING_M = 0.2
 """How far a leg is before or behind the body at most."""
 _STANCE_M = 0.1
 """How far a leg is beside the body's middle."""
-_LEG_RADIUS_M = 0.06
-_TORSO_RADIUS_M = 0.18
+LEG_RADIUS_M = 0.06
+TORSO_RADIUS_M = 0.18
 _HIP_SHARE = 0.5
 """Share of the height below which there are two legs rather than a torso."""
 _LOOK_S = 0.2
@@ -133,13 +133,13 @@ class Person:
         when = np.array([when_s])
         place = self.walk.places_m(when)[0]
         if at_height_m > _HIP_SHARE * self.height_m:
-            return np.array([(*place, _TORSO_RADIUS_M)])
+            return np.array([(*place, TORSO_RADIUS_M)])
         heading, speed = self.headings_rad(when)
         swing_m = _SWING_M * min(1.0, float(speed[0]) / 0.6) * math.sin(float(self.gait_rad(when)[0]))
         forward = np.array((math.cos(heading[0]), math.sin(heading[0])))
         left = np.array((-forward[1], forward[0]))
         legs = [place + side * (swing_m * forward + _STANCE_M * left) for side in (1.0, -1.0)]
-        return np.array([(*leg, _LEG_RADIUS_M) for leg in legs])
+        return np.array([(*leg, LEG_RADIUS_M) for leg in legs])
 
     def _facing_rad(self, when_s: float) -> float:
         """From the nearest stretch of the way that is walked at all, later ones first; 0 where there is none."""

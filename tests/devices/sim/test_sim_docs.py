@@ -11,6 +11,7 @@ import pytest
 
 from robotd_devices import sim
 from robotd_devices.sim import load_map
+from robotd_devices.sim.mujoco_devices import MujocoCamera
 
 PAGE = (Path(__file__).resolve().parents[3] / "docs" / "simulator.md").read_text(encoding="utf-8")
 
@@ -26,6 +27,7 @@ PAGE = (Path(__file__).resolve().parents[3] / "docs" / "simulator.md").read_text
         ("sim_imu", sim.SimImu),
         ("sim_bumper", sim.SimBumper),
         ("sim_battery", sim.SimBattery),
+        ("mujoco_camera", MujocoCamera),
     ],
 )
 def test_the_table_of_keys_is_the_config(name: str, cls: Any) -> None:
