@@ -23,6 +23,9 @@ STATUS_NS = 200_000_000
 TENTH_NS = 95_000_000
 """A little under 0.1 s, so that a lidar of 10 Hz loses no scan to the grid on which the bridge looks."""
 
+READY_NS = 500_000_000
+"""For so long after its encoding a picture is worth sending though a newer frame exists."""
+
 
 class Channel(Generic[VersionT]):
     """One kind of news. A message is built once for each version, however many pages want it, and only if one does."""
@@ -108,22 +111,22 @@ class PictureChannel(Channel[CameraFrame]):
         self._frame_ns = ns(0.95 / frame_hz)
         self._encoder = encoder
         self._taken: tuple[CameraFrame, int] | None = None
-        self._ready: tuple[CameraFrame, bytes] | None = None
+        self._ready: tuple[CameraFrame, int, bytes] | None = None
         self._fault = ""
 
     def newest(self, now_ns: int) -> CameraFrame | None:
         frame, taken = self.runtime.newest(self.topic), self._taken
         is_due = taken is None or (frame is not taken[0] and now_ns - taken[1] >= self._frame_ns)
         if frame is not None and is_due and self._encoder.submit(frame, self._encoded):
-            self._taken = taken = (frame, now_ns)
-        if self._ready is None or taken is None or self._ready[0] is not taken[0]:
-            return None  # being encoded; what was ready before may be as old as the last visitor
-        return self._ready[0]
+            self._taken = (frame, now_ns)
+        # while the next one is encoded the last one is told, unless it is as old as the last visitor
+        ready = self._ready
+        return ready[0] if ready is not None and (ready[0] is frame or now_ns - ready[1] < READY_NS) else None
 
     def build(self, version: CameraFrame) -> bytes:
         assert self._ready is not None
         height_px, width_px = version.bgr.shape[:2]
-        return picture_message(self._index, width_px, height_px, version.stamp_ns, self._ready[1])
+        return picture_message(self._index, width_px, height_px, version.stamp_ns, self._ready[2])
 
     def _encoded(self, frame: CameraFrame, result: bytes | str) -> None:
         if isinstance(result, str):
@@ -132,4 +135,4 @@ class PictureChannel(Channel[CameraFrame]):
             self._fault = result
             return
         self._fault = ""
-        self._ready = (frame, result)
+        self._ready = (frame, self.runtime.clock.now_ns(), result)
