@@ -139,13 +139,21 @@ class RobotProcess:
 
     def ask(self, name: str, *arguments: Any) -> Any:
         """Call a method of the process's `RuntimeLink`; a refusal raises AssertionError with its reason."""
+        told = self._told(name, *arguments)
+        assert "refused" not in told, told["refused"]
+        return told["ok"]
+
+    def ask_or_refused(self, name: str, *arguments: Any) -> str:
+        """Call a method; returns the reason of a refusal, or an empty string."""
+        return str(self._told(name, *arguments).get("refused", ""))
+
+    def _told(self, name: str, *arguments: Any) -> dict[str, Any]:
         if self._door is None:
             self.until(self._connected, "its bridge to open")
         assert self._door is not None
         self._door.sendall(json.dumps([name, *arguments]).encode() + b"\n")
-        told = json.loads(self._lines.readline())
-        assert "refused" not in told, told["refused"]
-        return told["ok"]
+        told: dict[str, Any] = json.loads(self._lines.readline())
+        return told
 
     def _connected(self) -> bool:
         door = socket.socket(socket.AF_UNIX)

@@ -30,7 +30,7 @@ def ready(robot: RobotProcess) -> None:
     """Wait until every device is open and the line is seen, then arm."""
     robot.until(lambda: all(d["state"] == "open" for d in robot.ask("status")["devices"]), "all devices")
     robot.until(lambda: all(s["age_s"] is not None for s in robot.ask("status")["streams"]), "all streams")
-    robot.ask("arm", "test")
+    robot.until(lambda: robot.ask_or_refused("arm", "test") == "", "the arming to be accepted")
 
 
 @pytest.mark.parametrize(("picture", "turns_left"), [("test.jpg", True), ("test2.jpg", False)])
@@ -41,8 +41,14 @@ def test_real_pictures_in_the_right_registers_out(folder: Path, data_dir: Path, 
         ready(robot)
         drives(robot)
         robot.until(lambda: robot.ask("status")["by"] == "jetbot_route", "the route to drive")
-        robot.until(lambda: min(robot.duties()) > 0, "both wheels to go forward")
-        left, right = robot.duties()
+        seen: list[tuple[int, int]] = []
+
+        def steers() -> bool:
+            seen.append(robot.duties())
+            return min(seen[-1]) > 0 and seen[-1][0] != seen[-1][1]
+
+        robot.until(steers, "both wheels to go forward, one faster")
+        left, right = seen[-1]
         assert (right > left) is turns_left, (left, right)
         robot.process.send_signal(signal.SIGTERM)
         assert robot.process.wait(5.0) == 0
