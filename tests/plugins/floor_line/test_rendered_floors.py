@@ -88,10 +88,13 @@ def test_crossings_have_their_exits_and_their_place(
         assert seen.end is None
 
 
+@pytest.mark.parametrize("how", [{"gloss": 60.0}, {"shadows_per_m2": 1.0, "shadow_depth": 0.4, "shadow_edge_m": 0.01}])
 @pytest.mark.parametrize("name", ["line_track", "line_loop"])
-def test_along_the_shipped_maps_nothing_is_seen_that_is_not_there(floor: Callable[..., Any], name: str) -> None:
+def test_along_the_shipped_maps_nothing_is_seen_that_is_not_there(
+    floor: Callable[..., Any], name: str, how: dict[str, float]
+) -> None:
     rng = np.random.default_rng(11)
-    made = floor(name, 2, gloss=60.0)
+    made = floor(name, 22, **how)
     points = load_map(name).lines[0].points_m
     crossings = np.array([(0.9, 0.0), (2.2, 1.1)] if name == "line_track" else [(0.0, 0.0)])
     steps = np.diff(points, axis=0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from robotd.engine.runtime import Runtime
 from robotd.setup.load import load_config
 from robotd.world.clock import ns
 from robotd.world.messages import Outcome
+from robotd_devices.sim import SimCamera
 from robotd_plugins.toolkit.line_seen import CrossingBar, LineEnd, LineSeen, RoiLine
 
 JETBOT = Path(__file__).resolve().parents[3] / "configs" / "jetbot.yaml"
@@ -44,12 +45,11 @@ class Drove:
         return self.way[-1][1:4]
 
 
-def drive(
-    world_map: str, seed: int, limit_s: float, *sets: str, do: Callable[[Any, float], None] | None = None
-) -> Drove:
-    """Run until the goal ends (plus half a second) or `limit_s`; `do(runtime, t)` acts each 20 ms."""
-    sets = (f"simulation.map={world_map}", f"simulation.seed={seed}", *sets)
-    runtime = Runtime(load_config(JETBOT, sim=True, sets=sets).parts, virtual=True, arm=True)
+def drive(world_map: str, seed: int, limit_s: float, *sets: str, camera: type[SimCamera] = SimCamera) -> Drove:
+    """Run until the goal ends (plus half a second) or `limit_s`, without the page."""
+    parts = load_config(JETBOT, sim=True, sets=(f"simulation.map={world_map}", f"simulation.seed={seed}", *sets)).parts
+    devices = tuple(replace(part, cls=camera) if part.cls is SimCamera else part for part in parts.devices)
+    runtime = Runtime(replace(parts, devices=devices, bridges=()), virtual=True, arm=True)
     drove = Drove(runtime=runtime)
 
     def started(running: Any) -> None:
@@ -63,8 +63,6 @@ def drive(
         def watch() -> None:
             world = running.world
             drove.way.append((loop.time(), *world.pose(), world.off_line_m()))
-            if do is not None:
-                do(running, loop.time())
             node = next(node for node in running.core.graph.behaviours if node.name == "jetbot_route")
             if node.instance is not None and drove.states[-1:] != [node.instance.state.value]:
                 drove.states.append(node.instance.state.value)

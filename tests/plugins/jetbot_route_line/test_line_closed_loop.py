@@ -14,10 +14,19 @@ from typing import Any
 import numpy as np
 import pytest
 
+from robotd import CameraFrame
+from robotd.world.clock import ns
+from robotd_devices.sim import SimCamera
+
 OFF_MAX_M = 0.022
 OFF_RMS_M = 0.010
 CROSSING = ["APPROACHING_INTERSECTION", "LEAVING_INTERSECTION", "REACQUIRING_LINE", "DRIVING_STRAIGHT"]
 WORSE = ("simulation.devices.motors.motor_error=0.06", "simulation.devices.motors.wheel_error=0.04")
+
+HARSH = tuple(
+    f"simulation.devices.camera.{key}"
+    for key in ("gloss=80", "brightness=0.6", "shadows_per_m2=1.0", "shadow_depth=0.4", "shadow_edge_m=0.01")
+)
 
 
 @pytest.mark.parametrize(
@@ -25,11 +34,7 @@ WORSE = ("simulation.devices.motors.motor_error=0.06", "simulation.devices.motor
     [
         ("as shipped", 0, ()),
         ("unequal wheels, one frame in ten lost", 1, (*WORSE, "simulation.devices.camera.frame_loss=0.1")),
-        (
-            "much glare, little light",
-            2,
-            ("simulation.devices.camera.gloss=90", "simulation.devices.camera.brightness=0.6"),
-        ),
+        ("glare, little light, sharp shadows", 21, HARSH),
     ],
 )
 def test_the_track_is_driven_to_its_end(run: Callable[..., Any], what: str, seed: int, sets: tuple[str, ...]) -> None:
@@ -42,7 +47,7 @@ def test_the_track_is_driven_to_its_end(run: Callable[..., Any], what: str, seed
     # the tape ends at (0, 2.2); the axle stands 30 mm before it
     x_m, y_m, yaw_rad = drove.final
     assert x_m == pytest.approx(0.03, abs=0.02) and y_m == pytest.approx(2.2, abs=0.02)
-    assert abs(math.remainder(yaw_rad - math.pi, math.tau)) < 0.15
+    assert abs(math.remainder(yaw_rad - math.pi, math.tau)) < 0.25
     assert drove.runtime.world.collisions == 0
 
 
@@ -89,13 +94,24 @@ def test_without_a_line_it_never_moves(run: Callable[..., Any], tmp_path: Path) 
     assert drove.final == (0.0, 0.0, 0.0)
 
 
-def test_when_the_camera_freezes_it_stops_and_says_that_it_is_blind(run: Callable[..., Any]) -> None:
-    def freeze(runtime: Any, now_s: float) -> None:
-        if 3.0 <= now_s < 3.02:
-            camera = next(kept.device for kept in runtime.devices if kept.name == "camera")
-            camera.publish = lambda message: None
+class Freezes(SimCamera):
+    """Says nothing any more after three seconds."""
 
-    drove = run("line_track", 0, 20.0, do=freeze)
+    def publish(self, message: CameraFrame) -> None:
+        if message.stamp_ns < ns(3.0):
+            super().publish(message)
+
+
+class GoesDark(SimCamera):
+    """Frames go on coming, but after two seconds and a half nothing is on them."""
+
+    def publish(self, message: CameraFrame) -> None:
+        dark = message.stamp_ns >= ns(2.5)
+        super().publish(replace(message, bgr=np.zeros_like(message.bgr)) if dark else message)
+
+
+def test_when_the_camera_freezes_it_stops_and_says_that_it_is_blind(run: Callable[..., Any]) -> None:
+    drove = run("line_track", 0, 20.0, camera=Freezes)
     assert drove.outcome is not None and drove.outcome.result == "FAILED"
     assert drove.outcome.reason.startswith("blind for 2 s: line_seen")
     at_freeze = next(row for row in drove.way if row[0] >= 3.0)
@@ -104,15 +120,8 @@ def test_when_the_camera_freezes_it_stops_and_says_that_it_is_blind(run: Callabl
 
 
 def test_when_the_light_goes_out_it_looks_about_and_gives_up(run: Callable[..., Any]) -> None:
-    """Frames go on coming, but nothing is on them: bounded distance, a look to both sides, then a reason."""
-
-    def dark(runtime: Any, now_s: float) -> None:
-        if 2.5 <= now_s < 2.52:
-            camera = next(kept.device for kept in runtime.devices if kept.name == "camera")
-            publish = camera.publish
-            camera.publish = lambda frame: publish(replace(frame, bgr=np.zeros_like(frame.bgr)))
-
-    drove = run("line_track", 0, 40.0, do=dark)
+    """A bounded distance, a look to both sides, then a reason."""
+    drove = run("line_track", 0, 40.0, camera=GoesDark)
     assert drove.outcome is not None
     assert drove.outcome.reason == "the line was lost and is not to be found on either side"
     at_dark = next(row for row in drove.way if row[0] >= 2.5)

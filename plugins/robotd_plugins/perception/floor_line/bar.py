@@ -21,9 +21,11 @@ _GROWS = 1.6
 _THICK = 1.3
 _THIN = 0.12
 _FLOOR_BESIDE_SHARE = 0.7
-_AS_DARK = 0.5
+_AS_DARK = 0.68
+_TAPER = 0.4
 _DARKENED = 0.80
 _STRAIGHT_ROWS = 3
+_ASIDE = 0.5
 _AROUND_ROWS = 8
 _BESIDE_ROWS = 3
 _STRETCH_ROWS = 16
@@ -121,9 +123,12 @@ def _judge(place: _Place, scene: Scene) -> tuple[Bar | None, str]:
 
 
 def _straight(place: _Place) -> bool | None:
-    if len(place.beyond) >= _STRAIGHT_ROWS:
-        return True
-    return False if place.empty else None
+    if len(place.beyond) < _STRAIGHT_ROWS:
+        return False if place.empty else None
+    # what goes on beside the line's own direction is a bend, or another thing
+    ahead = place.beyond[_STRAIGHT_ROWS - 1]
+    centre, width = fit(place.below[-_STRETCH_ROWS:]).at(ahead.row)
+    return True if abs(ahead.centre - centre) <= _ASIDE * max(width, ahead.right - ahead.left) else None
 
 
 def _arm(place: _Place, scene: Scene, side: int, tape: float) -> tuple[Arm | None, str]:
@@ -161,10 +166,17 @@ def _arm(place: _Place, scene: Scene, side: int, tape: float) -> tuple[Arm | Non
     if sum(top > 0 and bottom < height for top, bottom in path) < _FLOOR_BESIDE_SHARE * len(path):
         return None, "no floor above and below the arm"
     reach = path[: round(scene.arm_columns)]
+    third = max(1, len(reach) // 3)
+    if _thickness(reach[-third:]) < _TAPER * _thickness(reach[:third]):
+        return None, "an arm that tapers off"
     dark = _darkness(scene, [((top + bottom) // 2, start + step * i) for i, (top, bottom) in enumerate(reach)])
     if dark < _AS_DARK * tape:
         return None, "an arm less dark than the line"
     return Arm(inner_row, outer_row, outer), ""
+
+
+def _thickness(path: list[Run]) -> float:
+    return sum(bottom - top for top, bottom in path) / len(path)
 
 
 def _darkness(scene: Scene, cells: list[tuple[int, int]]) -> float:
