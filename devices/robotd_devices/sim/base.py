@@ -73,7 +73,7 @@ class SimBase(Actuator[SimBaseConfig, Drive]):
         if self._world is None or self._wheels is None:
             return
         self._world.advance()
-        x_m, y_m, yaw_rad = self._wheels.odometry
         told = self._wheels.report()
+        x_m, y_m, yaw_rad = self._wheels.odometry
         now_ns = self.context.clock.now_ns()
         self.publish(Odometry(now_ns, x_m, y_m, yaw_rad, told.vx_mps, told.vy_mps, told.wz_radps))

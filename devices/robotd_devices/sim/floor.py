@@ -110,11 +110,19 @@ def draw_floor(world: WorldMap, look: FloorLook, texel_m: float, rng: np.random.
     rows = math.ceil((y1_m - y0_m) / texel_m / whole) * whole
     columns = math.ceil((x1_m - x0_m) / texel_m / whole) * whole
     cover = tape_cover(world.lines, (rows, columns), texel_m, (x0_m, y0_m))
-    bare = look.floor + look.patches_std * _patches((rows, columns), texel_m, rng)
-    finest = bare + cover * (look.tape - bare) + look.grain_std * _grain((rows, columns), rng)
-    copies = [np.clip(finest, 1.0, 255.0)]
+    # millions of texels: each step works in place
+    finest = _patches((rows, columns), texel_m, rng)
+    finest *= look.patches_std
+    finest += look.floor
+    finest *= 1.0 - cover
+    cover *= look.tape
+    finest += cover
+    if look.grain_std > 0.0:
+        _add_grain(finest, look.grain_std, rng)
+    copies: list[Float32s] = [np.clip(finest, 1.0, 255.0, out=finest)]
     while len(copies) < LEVELS:
-        copies.append(cv2.resize(copies[-1], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
+        half = cv2.resize(copies[-1], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+        copies.append(np.asarray(half, dtype=np.float32))
     width_px = np.array([copy.shape[1] for copy in copies], dtype=np.float64)
     left_px = np.concatenate(([0.0], np.cumsum(width_px + 2 * _EDGE_PX)[:-1])) + _EDGE_PX
     total = int(left_px[-1] + width_px[-1]) + _EDGE_PX
@@ -134,9 +142,10 @@ def _patches(shape: tuple[int, int], texel_m: float, rng: np.random.Generator) -
     return np.asarray(cv2.resize(points, shape[::-1], interpolation=cv2.INTER_CUBIC), dtype=np.float32)
 
 
-def _grain(shape: tuple[int, int], rng: np.random.Generator) -> Float32s:
-    """The weave of vinyl: one tile of unit variance, repeated."""
-    tile = rng.standard_normal((_GRAIN_PX, _GRAIN_PX), dtype=np.float32)
-    repeats = (math.ceil(shape[0] / _GRAIN_PX), math.ceil(shape[1] / _GRAIN_PX))
-    whole: Float32s = np.tile(tile, repeats)[: shape[0], : shape[1]]
-    return whole
+def _add_grain(picture: Float32s, std: float, rng: np.random.Generator) -> None:
+    """The weave of vinyl: one tile of normal numbers, laid again and again, in place."""
+    tile = rng.standard_normal((_GRAIN_PX, _GRAIN_PX), dtype=np.float32) * np.float32(std)
+    for top in range(0, picture.shape[0], _GRAIN_PX):
+        for left in range(0, picture.shape[1], _GRAIN_PX):
+            part = picture[top : top + _GRAIN_PX, left : left + _GRAIN_PX]
+            part += tile[: part.shape[0], : part.shape[1]]

@@ -63,7 +63,7 @@ class Renderer:
         self._atlas = draw_floor(
             world, FloorLook(look.tape_grey, look.floor_grey, look.grain_std, look.patches_std), look.texel_m, for_floor
         )
-        self._room = draw_room(look.gloss, for_room)
+        self._room = np.round(draw_room(look.gloss, for_room)).astype(np.uint8)
         self._prepare_floor(camera)
         self._prepare_room(camera)
         self._tints = _tints(look.tape_grey, look.floor_grey)
@@ -202,7 +202,7 @@ class Renderer:
         soft = cv2.remap(
             self._room, self._room_columns + turn, self._room_rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
         )
-        seen = cv2.resize(soft, self._size, interpolation=cv2.INTER_LINEAR).astype(np.uint8)
+        seen = cv2.resize(soft, self._size, interpolation=cv2.INTER_LINEAR)
         return np.asarray(cv2.min(seen, self._room_cap), dtype=np.uint8)
 
 

@@ -112,7 +112,7 @@ class Shutter:
             return 1
         moved_m = math.hypot(*(end - begin)[:2])
         moved_rad = abs(float(end[2] - begin[2])) + moved_m / self._context.mount.z_m / 2.0
-        return min(_MOST_VIEWS, max(1, math.ceil(moved_rad * self._focal_px - 0.25)))
+        return min(_MOST_VIEWS, max(1, round(moved_rad * self._focal_px)))
 
 
 def check_mount(name: str, mount: Mount) -> None:

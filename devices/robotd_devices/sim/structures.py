@@ -46,7 +46,7 @@ class Structures:
             floor_m = np.where(rise < -1e-9, -mount.z_m / rise, math.inf)
             # here a ray that looks up passes over the structure, and one from above first comes to it
             top_m = np.where(np.abs(rise) > 1e-9, (height_m - mount.z_m) / rise, math.inf)
-        looks_over = mount.z_m > height_m
+        self._looks_over = looks_over = mount.z_m > height_m
         seen = np.isfinite(rise)
         self._from_m = np.where(seen & looks_over, np.where(top_m > 0.0, top_m, math.inf), 0.0).astype(np.float32)
         self._to_m = np.where(seen, floor_m, 0.0).astype(np.float32)
@@ -54,7 +54,7 @@ class Structures:
             self._to_m = np.minimum(self._to_m, np.where(rise > 1e-9, top_m, math.inf)).astype(np.float32)
         bearing = np.where(seen, np.arctan2(rays_base[..., 1], rays_base[..., 0]), 0.0)
         low_rad = float(bearing.min())
-        self._bins = np.round((bearing - low_rad) / _BIN_RAD).astype(np.int32)
+        self._bins = np.round((bearing - low_rad) / _BIN_RAD).astype(np.intp)
         self._bearings_rad = low_rad + np.arange(int(self._bins.max()) + 1, dtype=np.float64) * _BIN_RAD
         self._row_to_m = self._to_m.max(axis=1)
 
@@ -74,7 +74,8 @@ class Structures:
         bins = self._bins[band]
         there = reach_m.astype(np.float32).take(bins)
         shown = there < self._to_m[band]
-        shown &= there >= self._from_m[band]
+        if self._looks_over:
+            shown &= there >= self._from_m[band]
         known = np.where(np.isfinite(reach_m), reach_m, 0.0)
         panels = _panels(origin_m[0] + known * np.cos(bearings_rad), origin_m[1] + known * np.sin(bearings_rad))
         pixels = np.flatnonzero(shown)

@@ -76,12 +76,11 @@ class Wheels:
         self._wanted: tuple[float, ...] = (0.0,) * count
         self._speeds: tuple[float, ...] = (0.0,) * count
         self.odometry: tuple[float, float, float] = (0.0, 0.0, 0.0)
-        """Base in the odometry frame as the encoders tell: x, y, yaw."""
+        """Base in the odometry frame as the encoders told at the last report: x, y, yaw."""
         self.measured: Drive = STOP
         """Body velocity of the turning motors through the nominal kinematics, before it is counted."""
         self._turned = [0.0] * count
         self._counted = [0.0] * count
-        self._reported = [0.0] * count
         self._unreported = 0
 
     def command(self, drive: Drive, supply: float = 1.0) -> None:
@@ -108,7 +107,10 @@ class Wheels:
             return STOP
         self._speeds = speeds
         self.measured = self._body(speeds)
-        self._count()
+        if self._tick == 0.0:
+            self.odometry = advance(*self.odometry, self.measured, self._step_s)
+        else:
+            self._turned = [turned + speed * self._step_s for turned, speed in zip(self._turned, speeds, strict=True)]
         self._drift_slips()
         real = self._body(
             tuple(
@@ -118,25 +120,15 @@ class Wheels:
         return Drive(real.vx_mps, real.wz_radps / self._track_scale, real.vy_mps)
 
     def report(self) -> Drive:
-        """Body velocity that the encoders tell since the last report: counts over time, or exactly without counts."""
+        """Reads the encoders: takes their counts into the odometry, and tells the mean velocity since the last time."""
         if self._tick == 0.0 or self._unreported == 0:
             return self.measured
         over_s = self._unreported * self._step_s
-        speeds = tuple((new - old) / over_s for new, old in zip(self._counted, self._reported, strict=True))
-        self._reported, self._unreported = list(self._counted), 0
-        return self._body(speeds)
-
-    def _count(self) -> None:
-        """Takes the step into the odometry as far as the encoders see it."""
-        if self._tick == 0.0:
-            self.odometry = advance(*self.odometry, self.measured, self._step_s)
-            return
-        self._turned = [turned + speed * self._step_s for turned, speed in zip(self._turned, self._speeds, strict=True)]
         counted = [math.floor(turned / self._tick) * self._tick for turned in self._turned]
-        if counted != self._counted:
-            moved = tuple((new - old) / self._step_s for new, old in zip(counted, self._counted, strict=True))
-            self.odometry = advance(*self.odometry, self._body(moved), self._step_s)
-            self._counted = counted
+        told = self._body(tuple((new - old) / over_s for new, old in zip(counted, self._counted, strict=True)))
+        self.odometry = advance(*self.odometry, told, over_s)
+        self._counted, self._unreported = counted, 0
+        return told
 
     def _body(self, speeds: tuple[float, ...]) -> Drive:
         return self._kinematics.body(*speeds)

@@ -160,9 +160,9 @@ def test_wheels_told_less_than_the_dead_band_stand(kinematics: Any, vx: float, m
 def test_encoders_tell_whole_ticks_and_lose_none(kinematics: Any) -> None:
     wheels, _ = turned(kinematics, Drive(0.2), 400, encoder_ticks=100)
     tick_m = math.tau * kinematics.wheel_radius_m / 100
+    assert wheels.report().vx_mps == pytest.approx(0.2, abs=tick_m / 2.0)
     assert wheels.odometry[0] / tick_m == pytest.approx(round(wheels.odometry[0] / tick_m), abs=1e-6)
     assert 0.4 - tick_m <= wheels.odometry[0] <= 0.4 + 1e-9
-    assert wheels.report().vx_mps == pytest.approx(0.2, abs=tick_m / 2.0)
     wheels.step()
     slow = wheels.report().vx_mps * 0.005 / tick_m
     assert slow == pytest.approx(round(slow), abs=1e-6), "a short look sees whole ticks"
