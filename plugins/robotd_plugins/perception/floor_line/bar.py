@@ -15,24 +15,28 @@ from robotd_plugins.perception.floor_line.runs import Run, overlapping
 from robotd_plugins.perception.floor_line.threshold import FULL
 from robotd_plugins.perception.floor_line.trace import GAP_ROWS, Band, Piece, Trace, fit
 
-_STEP = 2
-_STEEP = 0.7
-_GROWS = 1.6
-_THICK = 1.3
-_THIN = 0.12
-_FLOOR_BESIDE_SHARE = 0.7
-_AS_DARK = 0.68
-_TAPER = 0.4
-_DARKENED = 0.80
-_STRAIGHT_ROWS = 3
-_ASIDE = 0.5
-_AROUND_ROWS = 8
+STEP = 2
+"""Every so many columns of the grid are looked at."""
+
+# an arm, in terms of the line's width where the arm leaves it (cells made square)
+_THIN, _THICK = 0.12, 1.3
+_GROWS = 1.6  # no column is thicker than this times the first one
+_TAPER = 0.4  # its last third is at least this times as thick as its first: shadows have corners
+_STEEP = 0.7  # rows a column
+_FLOOR_BESIDE_SHARE = 0.7  # of its columns show floor above and below
+_AS_DARK = 0.68  # times the line's darkness; real glossy arms have 0.71 and more, hard shadows 0.62 and less
+
+_DARKENED = 0.80  # the line under a shadow is darker than this times the line beside it
+_STRAIGHT_ROWS = 3  # of line beyond the bar make a way straight on,
+_ASIDE = 0.5  # if they are not farther than this times the width from the line prolonged
+_AROUND_ROWS = 8  # of the line on either side tell where it is inside the bar
 _BESIDE_ROWS = 3
 _STRETCH_ROWS = 16
+
+# at a corner the outer edge runs straight on through most of the bar's rows, in a bend it leans over (in line widths)
 _CORNER_ROWS = 3
 _CORNER_SHARE = 0.7
-_LEANS_FIRST = 0.10
-_LEANS = 0.16
+_LEANS_FIRST, _LEANS = 0.10, 0.16
 
 
 class Arm(NamedTuple):
@@ -54,7 +58,7 @@ class Bar(NamedTuple):
 
 
 class Scene(NamedTuple):
-    """One grid: brightness, brightness over the floor's, dark runs by column.
+    """One grid: brightness, brightness over the floor's, dark runs of every `STEP`-th column.
 
     tall: height over width of a cell. arm_columns: how far a bar must reach. lowest_row: bars below do not count.
     """
@@ -135,25 +139,23 @@ def _arm(place: _Place, scene: Scene, side: int, tape: float) -> tuple[Arm | Non
     lowest, highest = place.rows[0].row + 1, place.rows[-1].row - 1
     edges = [centre + side * width / 2.0 for centre, width in (place.line.at(lowest), place.line.at(highest))]
     # beside the line's whole stretch over the candidate, so that a slanting line is not taken for part of the arm
-    start = int(max(edges)) + 2 if side > 0 else int(min(edges)) - 2
+    start = (int(max(edges)) + 1) // STEP + 1 if side > 0 else int(min(edges)) // STEP - 1
     total, runs = len(scene.columns), scene.columns
     if not 0 <= start < total:
         return None, ""
     run = overlapping(runs[start], highest + 1, lowest)
     if run is None:
         return None, ""
-    step = _STEP * side
-    path, column, thickest = [run], start + step, _GROWS * (run[1] - run[0]) + 2.0
+    path, column, thickest = [run], start + side, _GROWS * (run[1] - run[0]) + 2.0
     while 0 <= column < total:
         nxt = overlapping(runs[column], *run)
         if nxt is None or nxt[1] - nxt[0] > thickest:
             break
         run = nxt
         path.append(run)
-        column += step
-    outer, length = column - step, _STEP * len(path)
-    to_edge = outer if side < 0 else total - 1 - outer
-    if length < (scene.arm_columns / 2.0 if to_edge < _STEP else scene.arm_columns):
+        column += side
+    outer, length = column - side, STEP * len(path)
+    if length < (scene.arm_columns / 2.0 if outer in (0, total - 1) else scene.arm_columns):
         return None, "an arm too short for a bar"
     width = place.line.at(lowest)[1]
     thick = _median([bottom - top for top, bottom in path]) * scene.tall
@@ -169,10 +171,10 @@ def _arm(place: _Place, scene: Scene, side: int, tape: float) -> tuple[Arm | Non
     third = max(1, len(reach) // 3)
     if _thickness(reach[-third:]) < _TAPER * _thickness(reach[:third]):
         return None, "an arm that tapers off"
-    dark = _darkness(scene, [((top + bottom) // 2, start + step * i) for i, (top, bottom) in enumerate(reach)])
+    dark = _darkness(scene, [((top + bottom) // 2, STEP * (start + side * i)) for i, (top, bottom) in enumerate(reach)])
     if dark < _AS_DARK * tape:
         return None, "an arm less dark than the line"
-    return Arm(inner_row, outer_row, outer), ""
+    return Arm(inner_row, outer_row, STEP * outer), ""
 
 
 def _thickness(path: list[Run]) -> float:

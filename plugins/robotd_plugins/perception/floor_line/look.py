@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robotd.world.messages import Bytes2D
-from robotd_plugins.perception.floor_line.bar import Bar, Scene, find_bar
+from robotd_plugins.perception.floor_line.bar import STEP, Bar, Scene, find_bar
 from robotd_plugins.perception.floor_line.config import FloorLineConfig
 from robotd_plugins.perception.floor_line.runs import runs_of
 from robotd_plugins.perception.floor_line.threshold import (
@@ -120,7 +120,7 @@ def look(bgr: Bytes2D, grid: Grid, config: FloorLineConfig, expected_x: float | 
     scene = Scene(
         value,
         share,
-        runs_of(dark.T) if trace.bars else [],
+        runs_of(dark[:, ::STEP].T) if trace.bars else [],
         grid.tall,
         config.bar_arm_share * grid.width,
         grid.row(config.bar_lowest_share),

@@ -73,7 +73,9 @@ class FloorLine(Perceptor[FloorLineConfig, Sees, LineSeen]):
             drawn.append(ImageLine("line", line))
         if said.bar is not None:
             ends = [
-                end for end in (said.bar.left_end, (said.bar.x, said.bar.row), said.bar.right_end) if end[0] == end[0]
+                end
+                for end in (said.bar.left_end, (said.bar.x, said.bar.row), said.bar.right_end)
+                if not math.isnan(end[0])
             ]
             bar = tuple(((x + 1.0) / 2.0 * width, row * height) for x, row in ends)
             drawn += [ImageLine("bar", bar), Text("exits", said.bar.exits)]

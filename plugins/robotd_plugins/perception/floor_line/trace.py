@@ -13,17 +13,19 @@ from robotd_plugins.perception.floor_line.runs import Run, overlapping
 
 GAP_ROWS = 4
 """So many rows of something else than the line end it."""
-_BAR_ROWS_SHARE = 0.65
-_SLOPE_ROWS = 10
-_WIDE = 1.35
-_STEADY = 0.7
+_WIDE = 1.35  # a run wider than this times the line is something that lies over it
+_BAR_ROWS_SHARE = 0.65  # of all rows: more of that, and it is no bar
+_SLOPE_ROWS = 10  # last rows that tell the direction
+_STEADY = 0.7  # how much of the width so far each row keeps
+
+# where a line may begin, and what makes it one
 _SEED_ROWS_SHARE = 0.7
 _SEED_STEP = 2
 _SEEDS = 10
 _LENGTH_MIN = 6
-_ENOUGH_SHARE = 0.5
-_SLANT_MAX = 2.2
-_CUT_OFF_SHARE = 0.3
+_SLANT_MAX = 2.2  # columns a row: a bar's arm before the robot's nose is flatter
+_ENOUGH_SHARE = 0.5  # of the rows above its beginning: no better line is looked for
+_CUT_OFF_SHARE = 0.3  # of all rows, off the score of a line that the picture's edge cuts
 
 
 class Piece(NamedTuple):
