@@ -46,7 +46,7 @@ class RuntimeLink(Protocol):
         ...
 
     def topics(self) -> tuple[Topic[Message], ...]:
-        """Every stream of this robot that a device or a perceptor fills, with its message type; the same all run long."""
+        """Every stream that a device or a perceptor fills, with its message type; the same all run long."""
         ...
 
     def newest(self, topic: Topic[MessageT]) -> MessageT | None:
