@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import hashlib
 import logging
 import math
 import os
@@ -14,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from robotd.engine.armed_mark import ArmedMark
 from robotd.engine.console import View
 from robotd.engine.loops import RealLoop, VirtualLoop, real_loop, virtual_loop
 from robotd.engine.runtime import Runtime
@@ -49,10 +51,19 @@ def run(loaded: Loaded, options: Options, view: View) -> int:
     exit codes.
     """
     # a simulated robot arms itself unless its file says otherwise; --arm says so for any
-    runtime = Runtime(loaded.parts, virtual=options.sim, arm=True if options.arm else None)
+    mark = None if options.sim else ArmedMark(_mark_of(loaded))
+    runtime = Runtime(loaded.parts, virtual=options.sim, arm=True if options.arm else None, mark=mark)
     with asyncio.Runner(loop_factory=lambda: _loop(options)) as runner:
         runner.run(_drive(runtime, loaded, options, view))
     return 0
+
+
+def _mark_of(loaded: Loaded) -> Path:
+    """Where it is remembered that this robot is armed: one file for each config."""
+    import platformdirs
+
+    file = str(loaded.file.resolve())
+    return platformdirs.user_state_path("robotd") / "armed" / hashlib.sha256(file.encode()).hexdigest()[:16]
 
 
 def _loop(options: Options) -> RealLoop | VirtualLoop:

@@ -1,4 +1,4 @@
-"""A robot to be frozen and killed: the whole program on one motor line, in a process of its own that does as it is told.
+"""A robot to be frozen and killed: the whole program on one motor line, in a process that does as it is told.
 
 A launcher imports everything once and forks a robot whenever it is asked to; each robot answers on a socket of its own.
 """
@@ -120,8 +120,8 @@ def _obey(runtime: Any, words: list[str], tell: Callable[..., Any]) -> None:
                 os._exit(0)
             tell(at_ns=now_ns)
         case ["exception"]:
-            core = runtime._runtime.core
-            core._act = None  # the next turn raises out of the heart of the runtime
+            runtime._runtime.core._act = None  # a turn raises out of the heart of the runtime, and that at once
+            asyncio.get_running_loop().call_soon(runtime._runtime._tick, now_ns)
             tell(at_ns=now_ns)
         case _:
             tell(unknown=words)

@@ -15,6 +15,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import enum
+import glob
 import logging
 import os
 import socket
@@ -26,6 +27,7 @@ from typing import Protocol
 import robotd.safety
 from robotd.authoring.device import I2cStop, StopLine
 from robotd.engine.loops import RealLoop
+from robotd.engine.status import DeviceState
 
 log = logging.getLogger("robotd")
 
@@ -114,6 +116,13 @@ class Guarding:
         self.state, self.detail = State.STARTING, "starts"
         self._loop.add_reader(ours.fileno(), self._readable)
 
+    @property
+    def device_state(self) -> DeviceState:
+        """Its state among the devices: open while it holds the line, or has none to hold."""
+        if self.state is State.DEAD:
+            return "lost"
+        return "opening" if self.detail else "open"
+
     # ------------------------------------------------------------------------------------ signs of life
 
     def beat(self, armed: bool) -> None:
@@ -173,8 +182,8 @@ class Guarding:
             self._offer()
 
     def drop(self) -> None:
-        """The base is closed or lost. The guardian lets go of the line, which could not be opened anew otherwise."""
-        self._stop = None
+        """The base is lost. The guardian stops it once more and lets go, or the line could not be opened anew."""
+        self._stop, self.detail = None, "holds no line"
         if self.state is not State.STARTING:
             self._send(b"D")
 
@@ -292,14 +301,15 @@ class Guarding:
 
 
 def descriptor_of(path: str) -> int | None:
-    """This program's own open descriptor of a device, whatever library opened it; None where there is none."""
-    try:
-        wanted = os.stat(path)
-    except OSError:
-        return None
+    """This program's own open descriptor of a device, whatever library opened it; None where there is none.
+
+    path: may hold wildcards, as a config may.
+    """
+    wanted = [os.stat(each) for each in glob.glob(path)]
     for name in os.listdir("/dev/fd"):
         with contextlib.suppress(OSError):  # the listing's own descriptor is closed by now
-            if os.path.samestat(os.fstat(int(name)), wanted):
+            found = os.fstat(int(name))
+            if any(os.path.samestat(found, each) for each in wanted):
                 return int(name)
     return None
 

@@ -138,7 +138,8 @@ class RuntimeHandle:
             reason=core.standing_reason,
             behaviours=behaviours,
             streams=streams,
-            devices=tuple(DeviceStatus(kept.name, kept.state, kept.detail) for kept in self._runtime.devices),
+            devices=tuple(DeviceStatus(kept.name, kept.state, kept.detail) for kept in self._runtime.devices)
+            + self._guardian(),
             command=core.command,
             by=winner.by if winner is not None else "",
             limited_by=core.limited_by,
@@ -147,6 +148,10 @@ class RuntimeHandle:
             virtual=self._runtime.virtual,
             zones_off=self._runtime.parts.guard.zones.off or "",
         )
+
+    def _guardian(self) -> tuple[DeviceStatus, ...]:
+        guarding = self._runtime.guarding
+        return (DeviceStatus("guardian", guarding.device_state, guarding.detail),) if guarding is not None else ()
 
     def status(self) -> Mapping[str, Any]:
         """The snapshot as plain data for JSON: mode by name, no infinities."""

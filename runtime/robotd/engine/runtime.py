@@ -15,10 +15,12 @@ import signal
 import socket
 import sys
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from robotd.authoring.bridge import Bridge
 from robotd.authoring.device import Actuator, DeviceContext, World
+from robotd.engine.armed_mark import ArmedMark
 from robotd.engine.core import Base, Core, Journal
 from robotd.engine.devices import KeptDevice
 from robotd.engine.graph import base_of, compile_graph
@@ -55,12 +57,22 @@ class Runtime:
     """Built from checked parts, run once."""
 
     def __init__(
-        self, parts: Parts, *, journal: Journal | None = None, virtual: bool = False, arm: bool | None = None
+        self,
+        parts: Parts,
+        *,
+        journal: Journal | None = None,
+        virtual: bool = False,
+        arm: bool | None = None,
+        mark: ArmedMark | None = None,
     ) -> None:
         self.parts = parts
         self.virtual = virtual
         self.journal = journal
         self.arm_when_ready = parts.arm_at_start if arm is None else arm
+        self.mark = mark
+        if mark is not None and mark.found and self.arm_when_ready:
+            log.warning("the last run ended while the robot was armed: it waits for somebody to arm it")
+            self.arm_when_ready = False
         self.tick_late_ns = 0
         self.ticks_missed = 0
         self.started_ns = 0
@@ -118,6 +130,8 @@ class Runtime:
                         task.cancel()
         finally:
             await self._wind_up(base)
+        if self.mark is not None:
+            self.mark.clear()
 
     # ----------------------------------------------------------------------------------------- set-up
 
@@ -151,6 +165,8 @@ class Runtime:
         )
         self.core.clock_ns = loop.now_ns
         self.core.on_armed.append(_freeze_heap)
+        if self.mark is not None:
+            self.core.on_armed.append(partial(self.mark.set, True))
         for kept in self.devices:
             kept.connect(self.core, self.fail)
             kept.on_open = self._device_opened
@@ -186,7 +202,7 @@ class Runtime:
         self.core.on_armed.append(guarding.armed)
         self.core.on_event.append(self._stop_by_guardian)
         base.may_write = guarding.may_write
-        base.on_open = lambda: self._hand_over(base)
+        base.on_open = partial(self._hand_over, base)
         base.on_gone = guarding.drop
         guarding.start()
 
@@ -234,7 +250,8 @@ class Runtime:
         """Stop and disarm, then let the terminal stop this process; after SIGCONT it stands there, disarmed."""
         if self.core.operator.armed:
             self.core.request(Disarm("SIGTSTP", "suspended"), self._loop.now_ns())
-        self._halt()
+        if self.guarding is not None:
+            self.guarding.stop_now()
         self._loop.call_at_ns(self._loop.now_ns() + SUSPEND_AFTER_NS, os.kill, os.getpid(), signal.SIGSTOP)
 
     # ----------------------------------------------------------------------------------------- arming
@@ -273,8 +290,11 @@ class Runtime:
 
     def _tick(self, due_ns: int) -> None:
         now_ns = self._loop.now_ns()
+        armed = self.core.operator.armed
         if self.guarding is not None:
-            self.guarding.beat(self.core.operator.armed)
+            self.guarding.beat(armed)
+        if self.mark is not None and not armed:
+            self.mark.set(False)
         late_ns = now_ns - due_ns
         self.tick_late_ns = late_ns
         missed, next_ns = skip_missed(due_ns, self._period_ns, now_ns)

@@ -13,7 +13,7 @@ apart. The first byte of a packet says what it is:
     A         acknowledges a trip: the robot is disarmed  T  time   tripped: no B for that long, in ns, 8 bytes
     s  bytes  a serial line: the stop; its descriptor comes along
     i  path, NUL, then address, size, bytes for each write: an I2C bus
-    D         let go of the line
+    D         one last stop, then let go of the line
     Q         the end of a run in good order: one last stop, then exit
 
 A line's stop is data: the guardian knows no protocol. It holds a descriptor of its own, never waits on a full line, and
@@ -277,6 +277,7 @@ class Guardian:
             case b"Q":
                 self._watch.end(now_ns, 1)
             case b"D":
+                self._write_stop()
                 self._let_go()
             case b"s" | b"i":
                 self._let_go()
@@ -314,6 +315,15 @@ class Guardian:
             return  # it is gone, or does not read: what it must know it learns by its own clock
 
 
+def take_name() -> None:
+    """Be recognised by `ps`, and by whoever asks who holds the line."""
+    try:
+        with open("/proc/self/comm", "w") as name:
+            name.write("robotd-guardian")
+    except OSError:
+        return
+
+
 def privileges() -> list[str]:
     """Ask for what a safety process should have, and name what was granted; none of it is needed on a quiet machine."""
     granted = []
@@ -342,6 +352,7 @@ def main(arguments: list[str]) -> None:
     """Run as the guardian of whoever holds the other end of the socket."""
     for name in _IGNORED:
         signal.signal(getattr(signal, f"SIG{name}"), signal.SIG_IGN)
+    take_name()
     fd, deadline_ms = map(int, arguments)
     with socket.socket(fileno=fd) as runtime:
         Guardian(runtime, deadline_ms * 1_000_000).run()
