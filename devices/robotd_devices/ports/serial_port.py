@@ -8,7 +8,7 @@ from typing import Literal, Protocol
 
 from robotd.authoring.device import DeviceMisconfigured
 
-Backend = Literal["pyserial", "raw"]
+Backend = Literal["pyserial", "serialx", "raw"]
 
 #: Start bit, eight data bits, stop bit.
 BITS_PER_BYTE = 10
@@ -40,6 +40,11 @@ class SerialPort(Protocol):
     `on_data(data)` runs inside the loop's reader callback, in the turn in which the bytes arrived, `data` never empty;
     `on_lost(reason)` is called exactly once when the line goes away, never after `abort`, never from inside `write`.
     """
+
+    @property
+    def settings(self) -> SerialSettings:
+        """As given; from opening on with the path that a pattern fitted."""
+        ...
 
     @property
     def unsent(self) -> int:
@@ -83,11 +88,15 @@ def serial_port(
         from robotd_devices.ports.serial_pyserial import PySerialPort
 
         return PySerialPort(settings, on_data, on_lost)
+    if backend == "serialx":
+        from robotd_devices.ports.serial_x import SerialXPort
+
+        return SerialXPort(settings, on_data, on_lost)
     if backend == "raw":
         from robotd_devices.ports.serial_raw import RawSerialPort
 
         return RawSerialPort(settings, on_data, on_lost)
-    raise DeviceMisconfigured(f"serial backend {backend!r} is not one of: pyserial, raw")
+    raise DeviceMisconfigured(f"serial backend {backend!r} is not one of: pyserial, serialx, raw")
 
 
 def load_backend(backend: Backend) -> None:
@@ -95,3 +104,11 @@ def load_backend(backend: Backend) -> None:
     if backend == "pyserial":
         import serial  # noqa: F401
         import serial_asyncio  # noqa: F401
+    if backend == "serialx":
+        try:
+            import serialx  # noqa: F401
+        except ImportError as error:
+            raise ImportError(
+                "backend: serialx is not installed: `pip install robotd[serialx]`, or leave `backend` out",
+                name="serialx",
+            ) from error

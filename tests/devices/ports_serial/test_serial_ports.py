@@ -1,4 +1,4 @@
-"""Both serial back ends on a pty: bytes both ways, exclusion, one report of loss, stops that do not wait."""
+"""All serial back ends on a pty: bytes both ways, exclusion, one report of loss, stops that do not wait."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from robotd_devices.ports import serial_line
 from robotd_devices.ports.serial_base import off_loop
 from robotd_devices.ports.serial_port import Backend, SerialPort, SerialSettings, load_backend, serial_port
 
-BACKENDS: list[Backend] = ["pyserial", "raw"]
+BACKENDS: list[Backend] = ["pyserial", "serialx", "raw"]
 
 
 class Far:
@@ -321,7 +321,7 @@ def test_errors_say_the_mend(number: int, error: type[DeviceError], words: str) 
 
 
 def test_unknown_backend() -> None:
-    with pytest.raises(DeviceMisconfigured, match="'fast' is not one of: pyserial, raw"):
+    with pytest.raises(DeviceMisconfigured, match="'fast' is not one of: pyserial, serialx, raw"):
         serial_port(SerialSettings("/dev/x", 9600), "fast", print, print)  # type: ignore[arg-type]
 
 
