@@ -142,7 +142,8 @@ class Billboards:
         texels = cv2.perspectiveTransform(np.ascontiguousarray(self._slopes[y0:y1, x0:x1]), to_texel @ plane)
         seen = cv2.remap(face, texels, _NO_MAP, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
         if hidden is not None:
-            _hide(seen, where, hidden, away_m)
+            nearer = hidden.reach_m[y0:y1, x0:x1] < away_m
+            seen[nearer & (hidden.shown[y0:y1, x0:x1] > 0)] = 0
         clear = cv2.cvtColor(cv2.bitwise_not(cv2.extractChannel(seen, 3)), cv2.COLOR_GRAY2BGR)
         part = bgr[y0:y1, x0:x1]
         part[:] = cv2.add(cv2.multiply(part, clear, scale=1.0 / 255.0), cv2.cvtColor(seen, cv2.COLOR_BGRA2BGR))
@@ -154,16 +155,6 @@ def _slopes(rays: Float64s) -> Float32s:
     with np.errstate(divide="ignore", invalid="ignore"):
         slopes = np.where(ahead, rays[..., :2] / rays[..., 2:], 1e6)
     return np.ascontiguousarray(slopes, dtype=np.float32)
-
-
-def _hide(seen: Any, where: tuple[int, int, int, int], hidden: Hidden, distance_m: float) -> None:
-    """Clears in place what stands behind a structure; `where`: columns and rows of the picture that `seen` covers."""
-    x0, x1, y0, y1 = where
-    top, bottom = max(y0, hidden.band.start), min(y1, hidden.band.stop)
-    if top < bottom:
-        rows = slice(top - hidden.band.start, bottom - hidden.band.start)
-        behind = hidden.shown[rows, x0:x1] & (hidden.reach_m[rows, x0:x1] < distance_m)
-        seen[top - y0 : bottom - y0][behind] = 0
 
 
 def _levels(face: Bytes2D) -> list[Bytes2D]:

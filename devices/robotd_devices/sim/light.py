@@ -13,7 +13,7 @@ from robotd_devices.sim.look import Look
 
 _WAVES = (0.37, 1.0, 2.3)
 """Frequencies of the drift, as multiples of one over `light_drift_s`."""
-_REACH_M = 4.0
+_REACH_M = 2.5
 """Shadows farther off are not worth drawing."""
 
 
@@ -79,13 +79,11 @@ class Shadows:
                 nx, ny = (by - ay) / length, (ax - bx) / length
                 side = cv2.addWeighted(self._forward, nx, self._sideways, ny, -(nx * ax + ny * ay))
                 beyond = side if beyond is None else cv2.max(beyond, side)
-            # from half an edge inside to half an edge outside
-            depth = float(self._depths[at])
-            left = np.clip(beyond * depth + (1.0 - depth / 2.0), 1.0 - depth, 1.0)
+            # from half an edge inside to half an edge outside, in parts of 255
+            depth = 255.0 * float(self._depths[at])
+            left = np.maximum(cv2.addWeighted(beyond, depth, beyond, 0.0, 255.0 - depth / 2.0), 255.0 - depth)
             light = left if light is None else cv2.min(light, left)
-        if light is None or float(light.min()) > 0.998:
-            return None
-        return np.asarray(np.round(light * 255.0), dtype=np.uint8)
+        return None if light is None else np.asarray(cv2.convertScaleAbs(light), dtype=np.uint8)
 
 
 def _corners_m(rng: np.random.Generator) -> Float64s:

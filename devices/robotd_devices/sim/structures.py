@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robotd.world.messages import Bytes2D, Float32s, Float64s
 from robotd_devices.sim.lens import FloorCamera
@@ -20,13 +19,11 @@ _PANEL_M = 0.35
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hidden:
-    """What structures hide in the rows `band` of a picture.
-
-    shown: bool (rows, w), where a structure is seen. reach_m: float32 (rows, w), how far along the floor it is there.
+    """What structures hide: shown, uint8 (h, w), 255 where one is seen; reach_m, float32 (h, w), how far off it is there,
+    along the floor.
     """
 
-    band: slice
-    shown: NDArray[np.bool_]
+    shown: Bytes2D
     reach_m: Float32s
 
 
@@ -48,18 +45,20 @@ class Structures:
             top_m = np.where(np.abs(rise) > 1e-9, (height_m - mount.z_m) / rise, math.inf)
         self._looks_over = looks_over = mount.z_m > height_m
         seen = np.isfinite(rise)
-        self._from_m = np.where(seen & looks_over, np.where(top_m > 0.0, top_m, math.inf), 0.0).astype(np.float32)
-        self._to_m = np.where(seen, floor_m, 0.0).astype(np.float32)
+        from_m = np.where(seen & looks_over, np.where(top_m > 0.0, top_m, math.inf), 0.0)
+        to_m = np.where(seen, floor_m, 0.0)
         if not looks_over:
-            self._to_m = np.minimum(self._to_m, np.where(rise > 1e-9, top_m, math.inf)).astype(np.float32)
+            to_m = np.minimum(to_m, np.where(rise > 1e-9, top_m, math.inf))
         bearing = np.where(seen, np.arctan2(rays_base[..., 1], rays_base[..., 0]), 0.0)
         low_rad = float(bearing.min())
         self._bins = np.round((bearing - low_rad) / _BIN_RAD).astype(np.intp)
         self._bearings_rad = low_rad + np.arange(int(self._bins.max()) + 1, dtype=np.float64) * _BIN_RAD
-        self._row_to_m = self._to_m.max(axis=1)
+        self._from_m, self._to_m = from_m.astype(np.float32), to_m.astype(np.float32)
 
     def draw(self, picture: Bytes2D, pose: tuple[float, float, float], things: Things) -> Hidden | None:
         """Draws them into a picture (h, w, 3) in place, grey; None where nothing is seen of any."""
+        import cv2
+
         if not len(things.segments_m) and not len(things.circles_m):
             return None
         cos, sin = math.cos(pose[2]), math.sin(pose[2])
@@ -67,24 +66,17 @@ class Structures:
         origin_m = np.array((pose[0] + cos * x_m - sin * y_m, pose[1] + sin * x_m + cos * y_m))
         bearings_rad = self._bearings_rad + pose[2]
         reach_m = cast(origin_m, bearings_rad, things.segments_m, things.circles_m)
-        rows = np.flatnonzero(self._row_to_m > reach_m.min())
-        if len(rows) == 0:
-            return None
-        band = slice(int(rows[0]), int(rows[-1]) + 1)
-        bins = self._bins[band]
-        there = reach_m.astype(np.float32).take(bins)
-        shown = there < self._to_m[band]
+        there = reach_m.astype(np.float32).take(self._bins)
+        shown = np.asarray(cv2.compare(there, self._to_m, cv2.CMP_LT), dtype=np.uint8)
         if self._looks_over:
-            shown &= there >= self._from_m[band]
+            shown &= np.asarray(cv2.compare(there, self._from_m, cv2.CMP_GE), dtype=np.uint8)
         known = np.where(np.isfinite(reach_m), reach_m, 0.0)
         panels = _panels(origin_m[0] + known * np.cos(bearings_rad), origin_m[1] + known * np.sin(bearings_rad))
-        pixels = np.flatnonzero(shown)
-        picture[band].reshape(-1, 3)[pixels] = panels[bins.ravel()[pixels]]
-        return Hidden(band, shown, there)
+        cv2.copyTo(cv2.cvtColor(panels.take(self._bins), cv2.COLOR_GRAY2BGR), shown, picture)
+        return Hidden(shown, there)
 
 
 def _panels(x_m: Float64s, y_m: Float64s) -> Bytes2D:
-    """Blue, green and red of walls by place, uint8 (n, 3): the same place always looks the same."""
+    """Grey levels of walls by place, uint8 (n,): the same place always looks the same."""
     panel = np.floor(x_m / _PANEL_M + 0.25) * 12.9898 + np.floor(y_m / _PANEL_M + 0.25) * 78.233
-    grey = 110.0 + 70.0 * np.mod(np.sin(panel) * 43758.5453, 1.0)
-    return np.asarray(grey[:, None] * (0.93, 0.96, 1.0), dtype=np.uint8)
+    return np.asarray(110.0 + 70.0 * np.mod(np.sin(panel) * 43758.5453, 1.0), dtype=np.uint8)
