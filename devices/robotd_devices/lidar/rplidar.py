@@ -1,0 +1,221 @@
+"""Slamtec RPLIDARs (A1, A2, A3, C1, S1, S2, S3) on a serial port: one `LidarScan` a revolution."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from robotd.authoring.config import Config
+from robotd.authoring.device import DeviceContext, DeviceError, DeviceLost, DeviceUnavailable, Sensor
+from robotd.world.messages import LidarScan
+from robotd_devices.lidar import rplidar_talk as talk
+from robotd_devices.lidar.beam_sweep import BeamSweep
+from robotd_devices.lidar.delivery import deliver
+from robotd_devices.lidar.rplidar_line import RplidarLine
+from robotd_devices.lidar.rplidar_models import BAUDS
+from robotd_devices.lidar.rplidar_reader import RplidarReader
+from robotd_devices.lidar.rplidar_wire import Info
+from robotd_devices.ports.serial_port import SerialSettings, load_backend, serial_port
+
+_LOOK_S = 0.1
+#: A motor needs this long from standstill to its speed; until then no scan is missed.
+_SPIN_UP_S = 3.0
+
+
+class RplidarConfig(Config):
+    """Parameters of an RPLIDAR."""
+
+    port: str = Field(default="/dev/serial/by-id/usb-Silicon_Labs_CP210*", min_length=1)
+    """Serial port by its stable name, or a pattern that fits one; the default is the kit's own adapter."""
+    baud: int | Literal["auto"] = "auto"
+    """Speed of the line; auto tries 115200 (A1, A2M8), 256000 (A2M12, A3, S1), 460800 (C1), 1000000 (S2, S3)."""
+    backend: Literal["pyserial", "raw"] = "pyserial"
+    """How the port is read: pyserial (pyserial-asyncio) or raw (no library, lower latency)."""
+    mode: str = Field(default="auto", min_length=1)
+    """Scan mode by the device's own name (Boost, DenseBoost...), standard, or auto: the best that has a checksum."""
+    motor: Literal["auto", "dtr", "pwm", "rpm", "none"] = "auto"
+    """How the motor is driven; auto asks the device."""
+    pwm: int = Field(default=660, ge=0, le=1023)
+    """Pulse width for a motor driven by PWM (A2, A3)."""
+    rotation_hz: float = Field(default=10.0, ge=2.0, le=20.0)
+    """Revolutions a second: what a motor driven by rpm is told, and what the others are expected to do (A1: 5.5)."""
+    range_min_m: float = Field(default=0.1, ge=0.0, le=1.0)
+    """Nearer than this something is touching, in metres."""
+    range_max_m: float = Field(default=12.0, gt=0.0, le=100.0)
+    """Farther than this is no return, in metres."""
+    inverted: bool = False
+    """Mounted upside down, so that it turns counter-clockwise seen from above; a mount rolled over says the same."""
+    seam_deg: float = Field(default=180.0, ge=0.0, lt=360.0)
+    """Device angle (clockwise from the mark) at which a scan begins and ends; 180 puts it behind the lidar."""
+    trust_empty: bool = False
+    """Take a revolution without any return for free space; by default it counts as not measured."""
+    silent_s: float = Field(default=6.0, ge=1.0, le=60.0)
+    """Without a scan: after a sixth of this it is started anew, after half reset, then the port is opened anew."""
+
+    @model_validator(mode="after")
+    def _some_range(self) -> RplidarConfig:
+        if self.range_min_m >= self.range_max_m:
+            raise ValueError(f"range_min_m {self.range_min_m} must be below range_max_m {self.range_max_m}")
+        if self.baud != "auto" and not 9_600 <= self.baud <= 4_000_000:
+            raise ValueError(f"baud {self.baud} is no speed of an RPLIDAR: auto, or 9600 to 4000000")
+        return self
+
+
+class Rplidar(Sensor[RplidarConfig, LidarScan]):
+    """Finds the speed of the line, asks the lidar how it is, turns its motor, starts the best scan and reads it.
+
+    Faults that it counts: those of the stream (`bad checksum`, `stray bytes`, `no packet behind a packet`,
+    `impossible angle`, `not turning`; in the standard mode `senseless node`, `lost alignment`), of whole scans
+    (`lost packets`, `no return anywhere`, `old scan dropped`, `rotation off`), of the device (`health warning`,
+    `protection stop`) and of its silence (`scan restarted`, `lidar reset`). Lost where the port goes away or where
+    nothing brings scans back within `silent_s`.
+    """
+
+    sim_twin = "sim_lidar"
+
+    def __init__(self, config: RplidarConfig, context: DeviceContext | None = None) -> None:
+        super().__init__(config, context)
+        self._wishes = talk.Wishes(config.mode, config.motor, config.pwm, round(60.0 * config.rotation_hz))
+        self._line: RplidarLine | None = None
+        self._watch: asyncio.Task[None] | None = None
+        self._baud: int | None = None
+        self._reader: RplidarReader | None = None
+        self._stamp_ns = 0
+        self._scans = 0
+        self.scanning: talk.Scanning | None = None
+        """Model, firmware, scan mode and motor; None while closed."""
+
+    @classmethod
+    def load(cls, config: RplidarConfig) -> None:
+        load_backend(config.backend)
+
+    @classmethod
+    def publish_period_s(cls, config: RplidarConfig) -> float:
+        return 1.0 / config.rotation_hz
+
+    async def open(self) -> None:
+        line, settings, info = await self._find()
+        self._line = line
+        self.scanning = await line.say(talk.begin(info, self._wishes))
+        self._listen(settings)
+        self._watch = asyncio.get_running_loop().create_task(self._keep_going(settings))
+
+    async def _find(self) -> tuple[RplidarLine, SerialSettings, Info]:
+        """The open line at the speed at which the lidar answers."""
+        config = self.config
+        bauds = [config.baud] if config.baud != "auto" else sorted(BAUDS, key=lambda baud: baud != self._baud)
+        heard = 0
+        for baud in bauds:
+            settings = SerialSettings(config.port, baud, dtr=None if config.motor == "none" else False)
+            line = self._line = RplidarLine(self.context.link.fault)
+            await line.open(serial_port(settings, config.backend, line.take, self._gone))
+            info = await line.say(talk.hello())
+            if info is not None:
+                self._baud = baud
+                return line, settings, info
+            heard += line.bytes
+            await line.leave(b"", raise_dtr=False)
+        tried = ", ".join(str(baud) for baud in bauds)
+        why = (
+            f"{heard} bytes came but no answer: is {config.port} this lidar's port?"
+            if heard
+            else "no byte came: is the lidar powered (5 V, 1 A at start), and are its data wires crossed?"
+        )
+        raise DeviceUnavailable(f"no RPLIDAR answers on {config.port} at {tried} baud; {why}")
+
+    def _listen(self, settings: SerialSettings) -> None:
+        """Hand the stream to a parser and a sweep of the scan's format."""
+        config, mount, scanning = self.config, self.context.mount, self.scanning
+        assert scanning is not None and self._line is not None
+        sweep = BeamSweep(
+            beam_ns=scanning.mode.sample_us * 1e3,
+            range_min_m=config.range_min_m,
+            range_max_m=config.range_max_m,
+            inverted=config.inverted != (math.cos(mount.roll_rad) < 0.0),
+            seam_deg=config.seam_deg,
+            trust_empty=config.trust_empty,
+            mount=mount,
+            after_ns=self._stamp_ns,
+        )
+        self._reader = reader = RplidarReader(scanning.mode.answer, sweep, settings.byte_ns, config.rotation_hz)
+        self._line.stream(lambda data: self._read(reader, data))
+
+    def _read(self, reader: RplidarReader, data: bytes) -> None:
+        """Bytes of the scan that were just read: the scans that they complete are published in this very call."""
+        now_ns = self.context.clock.now_ns()
+        for scan in reader.feed(data, now_ns):
+            self._stamp_ns, self._scans = scan.stamp_ns, self._scans + 1
+            deliver(self, scan, reader.sweep, self.config.rotation_hz, now_ns)
+        for name in reader.take_faults():
+            self.context.link.fault(name)
+
+    async def _keep_going(self, settings: SerialSettings) -> None:
+        """Looks for scans; brings a silent lidar back in two steps, and gives the port up after `silent_s`."""
+        loop, silent_s = asyncio.get_running_loop(), self.config.silent_s
+        scans, since_s, tried = -1, loop.time() + _SPIN_UP_S, 0
+        while True:
+            await asyncio.sleep(_LOOK_S)
+            if self._scans != scans:
+                first, scans = scans < 0, self._scans
+                if not first:
+                    since_s, tried = loop.time(), 0
+                continue
+            silence_s = loop.time() - since_s
+            try:
+                if silence_s >= silent_s:
+                    self.lost(f"silent for {silent_s:g} s: {self._why()}")
+                    return
+                if tried == 0 and silence_s >= silent_s / 6.0:
+                    tried = 1
+                    await self._restart(settings)
+                elif tried == 1 and silence_s >= silent_s / 2.0:
+                    tried = 2
+                    await self._reset(settings)
+            except DeviceLost:
+                return  # the port has reported it
+            except DeviceError as error:
+                self.context.link.fault("does not come back", str(error))
+
+    async def _restart(self, settings: SerialSettings) -> None:
+        line, scanning, reader = self._line, self.scanning, self._reader
+        assert line is not None and scanning is not None and reader is not None
+        stuck = reader.not_turning
+        self.context.link.fault("scan restarted", self._why())
+        await line.say(talk.again(scanning, self._wishes, motor_too=stuck))
+        self._listen(settings)
+
+    async def _reset(self, settings: SerialSettings) -> None:
+        line = self._line
+        assert line is not None
+        self.context.link.fault("lidar reset", self._why())
+        self.scanning = await line.say(talk.anew(self._wishes))
+        self._listen(settings)
+
+    def _why(self) -> str:
+        reader, config = self._reader, self.config
+        assert reader is not None and self._line is not None
+        if reader.bytes == 0:
+            return "no byte came: has the lidar lost its supply?"
+        if reader.not_turning:
+            return "it sends but does not turn: is it blocked, or its supply too weak?"
+        return f"{reader.bytes} bytes came but no whole turn: is something else sending on {config.port}?"
+
+    async def close(self) -> None:
+        watch, self._watch = self._watch, None
+        line, self._line = self._line, None
+        scanning, self.scanning = self.scanning, None
+        if watch is not None:
+            watch.cancel()
+        if line is not None:
+            motor = scanning.motor if scanning is not None else "none"
+            await line.leave(talk.stop_commands(motor), raise_dtr=motor == "dtr")
+
+    def _gone(self, reason: str) -> None:
+        opening = self._watch is None
+        if self._line is not None:
+            self._line.lost(reason)
+        if not opening:
+            self.lost(reason)

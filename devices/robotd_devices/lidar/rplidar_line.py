@@ -1,0 +1,139 @@
+"""Carries the steps of a conversation with an RPLIDAR out on a serial port, on the running event loop."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+
+from robotd.authoring.device import DeviceLost
+from robotd_devices.lidar.rplidar_talk import Ask, Dtr, Pause, Quiet, Say, Start, Step, T, Talk, Warn
+from robotd_devices.lidar.rplidar_wire import AnswerReader
+from robotd_devices.ports.serial_port import SerialPort
+
+
+class RplidarLine:
+    """One open port and who listens to it: the conversation, or (from `stream` on) a parser.
+
+    warn(name, detail): called for what a conversation survived.
+    """
+
+    def __init__(self, warn: Callable[[str, str], None]) -> None:
+        self._warn = warn
+        self._port: SerialPort | None = None
+        self._reader: AnswerReader | None = None
+        self._parse: Callable[[bytes], None] | None = None
+        self._rest = b""
+        self._news = asyncio.Event()
+        self._gone = ""
+        self.bytes = 0
+        """Bytes that came since opening."""
+
+    async def open(self, port: SerialPort) -> None:
+        """Take over a closed port and open it; its callbacks must be `take` and, on a loss, `lost`."""
+        self._port = port
+        await port.open()
+
+    def take(self, data: bytes) -> None:
+        """Bytes from the port."""
+        self.bytes += len(data)
+        if self._parse is not None:
+            self._parse(data)
+            return
+        if self._reader is None or self._reader.feed(data):
+            self._news.set()
+
+    def lost(self, reason: str) -> None:
+        """The port went away: a conversation under way ends with DeviceLost."""
+        self._gone = reason
+        self._news.set()
+
+    def stream(self, parse: Callable[[bytes], None]) -> None:
+        """From now on all bytes go to `parse`, first those that came behind the descriptor of the stream."""
+        self._parse = parse
+        rest, self._rest = self._rest, b""
+        if rest:
+            parse(rest)
+
+    async def say(self, talk: Talk[T]) -> T:
+        """A conversation from beginning to end; its result. Raises what it raises, and DeviceLost."""
+        self._parse = None
+        answer: object = None
+        while True:
+            try:
+                step = talk.send(answer)
+            except StopIteration as end:
+                result: T = end.value
+                return result
+            answer = await self._carry_out(step)
+
+    async def _carry_out(self, step: Step) -> object:
+        port = self._port
+        assert port is not None
+        if isinstance(step, Say):
+            port.write(step.data)
+        elif isinstance(step, Dtr):
+            port.set_dtr(step.on)
+        elif isinstance(step, Warn):
+            self._warn(step.name, step.detail)
+        elif isinstance(step, Pause):
+            await asyncio.sleep(step.seconds)
+        elif isinstance(step, Quiet):
+            await self._quiet(step)
+        else:
+            return await self._answer(port, step)
+        return None
+
+    async def _answer(self, port: SerialPort, step: Ask | Start) -> object:
+        reader = self._reader = AnswerReader(step.kind if isinstance(step, Ask) else None)
+        self._news.clear()
+        port.write(step.data)
+        heard = await self._heard(step.within_s)
+        if isinstance(step, Ask):
+            self._reader = None
+            return reader.answer
+        if not heard or reader.answer is None:
+            self._reader = None
+            return None
+        # the reader stays and keeps what comes until `stream` takes it
+        self._rest = reader.rest
+        reader.rest = b""
+        self._reader = None
+        self._parse = self._keep
+        return reader.descriptor
+
+    def _keep(self, data: bytes) -> None:
+        self._rest += data
+
+    async def _quiet(self, step: Quiet) -> None:
+        loop = asyncio.get_running_loop()
+        until_s = loop.time() + step.within_s
+        self._reader = None
+        self._rest = b""
+        self._parse = None
+        while loop.time() < until_s:
+            self._news.clear()
+            if not await self._heard(step.seconds):
+                return
+
+    async def _heard(self, within_s: float) -> bool:
+        try:
+            async with asyncio.timeout(within_s):
+                await self._news.wait()
+        except TimeoutError:
+            return False
+        finally:
+            if self._gone:
+                raise DeviceLost(self._gone)
+        return True
+
+    async def leave(self, last_words: bytes, raise_dtr: bool) -> None:
+        """Say the last words, wait for them a moment at most, and let go of the port."""
+        port, self._port = self._port, None
+        if port is None:
+            return
+        if last_words and not self._gone:
+            port.write(last_words, first=True)
+            if raise_dtr:
+                port.set_dtr(True)
+            await port.drain(0.1)
+        port.abort()

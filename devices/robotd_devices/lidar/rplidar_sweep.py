@@ -1,0 +1,172 @@
+"""From an RPLIDAR's capsules or nodes to beams: decoded once a revolution, laid between neighbours, gaps filled."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from robotd.world.messages import LidarScan
+from robotd_devices.lidar.beam_sweep import Beams, BeamSweep
+from robotd_devices.lidar.rplidar_capsules import TURN_Q6, Capsule, CapsuleFormat
+from robotd_devices.lidar.rplidar_nodes import NODE_BYTES, NodeRun
+from robotd_devices.lidar.rplidar_samples import decode_samples
+
+_TURN_Q16 = float(1 << 16)
+#: Slamtec's own estimate: a sample was taken one and a half sample times before it leaves the device.
+_DELAY_SAMPLES = 1.5
+#: After a gap of more than this share of a turn it is not clear how many turns were lost.
+_LONGEST_GAP_TURNS = 0.75
+
+#: Nodes are looked at for the seam in pieces of at most this, so that no turn is missed in a backlog.
+_PIECE_BYTES = 32 * NODE_BYTES
+#: Fewer nodes do not tell how far apart nodes lie.
+_ENOUGH_NODES = 20
+
+_NODE = np.dtype([("head", "u1"), ("angle", "<u2"), ("distance", "<u2")])
+
+
+class CapsuleSweep:
+    """Keeps capsules undecoded until the head passes the seam, then decodes them all in one call.
+
+    A capsule is laid between its own angle and that of the next one; before a gap, as wide as the one before it.
+    """
+
+    def __init__(self, form: CapsuleFormat, sweep: BeamSweep, byte_ns: float) -> None:
+        self._form = form
+        self._sweep = sweep
+        self._wire_ns = round(form.size * byte_ns + _DELAY_SAMPLES * sweep.beam_ns)
+        self._run: list[Capsule] = []
+        self._gap_q6 = 0
+
+    def add(self, capsule: Capsule) -> list[LidarScan]:
+        """Take the next capsule; the scans that it ends."""
+        done: list[LidarScan | None] = []
+        run = self._run
+        if capsule.first:
+            self._sweep.reset()
+            run.clear()
+            self._gap_q6 = 0
+        elif run and not capsule.chained:
+            last = run[-1]
+            done.append(self._decode(len(run), (last.start_q6 + self._gap_q6) % TURN_Q6, b""))
+            self._lost(capsule, last, done)
+            run.clear()
+        run.append(capsule)
+        if len(run) > 1:
+            before = run[-2]
+            self._gap_q6 = (capsule.start_q6 - before.start_q6) % TURN_Q6
+            after = self._sweep.after_seam
+            if after(capsule.start_q6 / 64.0) < after(before.start_q6 / 64.0) - 180.0:
+                done.append(self._decode(len(run) - 1, capsule.start_q6, capsule.data))
+                del run[:-1]
+        return [scan for scan in done if scan is not None]
+
+    def _lost(self, capsule: Capsule, last: Capsule, done: list[LidarScan | None]) -> None:
+        form, sweep = self._form, self._sweep
+        step_q6 = self._gap_q6 / form.samples
+        turn_ns = TURN_Q6 / step_q6 * sweep.beam_ns if step_q6 else 0.0
+        if capsule.arrival_ns - last.arrival_ns - form.samples * sweep.beam_ns > _LONGEST_GAP_TURNS * turn_ns:
+            sweep.reset()
+        else:
+            done.append(sweep.gap(capsule.start_q6 / 64.0, step_q6 / 64.0))
+
+    def _decode(self, count: int, then_q6: int, behind: bytes) -> LidarScan | None:
+        """Hand over the first capsules of the run; `then_q6`: where the one behind them begins."""
+        form, run = self._form, self._run[:count]
+        if not self._gap_q6:
+            return None
+        starts = np.array([capsule.start_q6 for capsule in run], dtype=np.int64)
+        gaps = np.diff(starts, append=then_q6) % TURN_Q6
+        samples = decode_samples(form, b"".join(capsule.data for capsule in run), starts, gaps, behind)
+        quality = samples.quality
+        beams = Beams(
+            samples.head_q16.ravel() / _TURN_Q16,
+            samples.angle_q6.ravel() / 64.0,
+            (samples.distance_q2.ravel() * 0.00025).astype(np.float32),
+            None if quality is None else quality.ravel(),
+        )
+        marks = [(form.samples * (i + 1) - 1, c.arrival_ns - self._wire_ns) for i, c in enumerate(run)]
+        return self._sweep.add(beams, marks, then_q6 / 64.0)
+
+
+class NodeSweep:
+    """Keeps the nodes of a standard scan until their angle passes the seam, then decodes them all in one call."""
+
+    def __init__(self, sweep: BeamSweep, byte_ns: float, step_deg: float) -> None:
+        self._sweep = sweep
+        self._delay_ns = round(NODE_BYTES * byte_ns + _DELAY_SAMPLES * sweep.beam_ns)
+        self._step_deg = step_deg
+        self._data: list[bytes] = []
+        self._marks: list[tuple[int, int]] = []
+        self._count = 0
+        self._head_deg: float | None = None
+        """Where the head stood before the kept nodes: the furthest that an angle has shown."""
+        self._last_deg = 0.0
+        """The same of the kept nodes, seen at the end of each run only."""
+        self._last_ns = 0
+
+    def add(self, run: NodeRun) -> list[LidarScan]:
+        """Take the next nodes; the scans that they end."""
+        done: list[LidarScan | None] = []
+        if run.missing:
+            done.append(self._decode())
+            self._lost(run, done)
+        if self._head_deg is None:
+            self._head_deg = self._last_deg = _first_deg(run.data)
+        behind = len(run.data) // NODE_BYTES
+        for at in range(0, len(run.data), _PIECE_BYTES):
+            piece = run.data[at : at + _PIECE_BYTES]
+            behind -= len(piece) // NODE_BYTES
+            self._keep(piece, run.arrival_ns - round(behind * self._sweep.beam_ns), done)
+        return [scan for scan in done if scan is not None]
+
+    def _keep(self, piece: bytes, arrival_ns: int, done: list[LidarScan | None]) -> None:
+        self._data.append(piece)
+        self._count += len(piece) // NODE_BYTES
+        self._marks.append((self._count - 1, arrival_ns - self._delay_ns))
+        self._last_ns = arrival_ns
+        before, angle_deg = self._last_deg, int.from_bytes(piece[-4:-2], "little") / 128.0
+        if _between(angle_deg, before) > 0.0:
+            self._last_deg = angle_deg
+            after = self._sweep.after_seam
+            if after(angle_deg) < after(before) - 180.0:
+                done.append(self._decode())
+
+    def _lost(self, run: NodeRun, done: list[LidarScan | None]) -> None:
+        if self._head_deg is None:
+            return
+        sweep, first_deg = self._sweep, _first_deg(run.data)
+        first_ns = run.arrival_ns - (len(run.data) // NODE_BYTES) * sweep.beam_ns
+        if first_ns - self._last_ns > _LONGEST_GAP_TURNS * 360.0 / self._step_deg * sweep.beam_ns:
+            sweep.reset()
+            self._head_deg = None
+        else:
+            done.append(sweep.gap(first_deg, self._step_deg))
+            if _between(first_deg, self._head_deg) > 0.0:
+                self._head_deg = self._last_deg = first_deg
+
+    def _decode(self) -> LidarScan | None:
+        if not self._data or self._head_deg is None:
+            return None
+        nodes = np.frombuffer(b"".join(self._data), dtype=_NODE)
+        marks, self._marks = self._marks, []
+        self._data, self._count = [], 0
+        angle_deg = (nodes["angle"] >> 1) / 64.0
+        # the head only goes forward, though beams to near and to far points lag behind it by different angles
+        steps = (np.diff(angle_deg, prepend=self._head_deg) + 180.0) % 360.0 - 180.0
+        turned = np.maximum.accumulate(np.maximum(np.cumsum(steps), 0.0))
+        if len(nodes) > _ENOUGH_NODES:
+            self._step_deg += 0.1 * (float(turned[-1] - turned[0]) / (len(nodes) - 1) - self._step_deg)
+        head_deg = (self._head_deg + turned) % 360.0
+        self._head_deg = self._last_deg = float(head_deg[-1])
+        metres = (nodes["distance"] * 0.00025).astype(np.float32)
+        beams = Beams(head_deg, angle_deg, metres, (nodes["head"] >> 2).astype(np.uint8))
+        return self._sweep.add(beams, marks, self._head_deg)
+
+
+def _first_deg(data: bytes) -> float:
+    return int.from_bytes(data[1:3], "little") / 128.0
+
+
+def _between(angle_deg: float, before_deg: float) -> float:
+    """From one angle to another, in [-180, 180) degrees."""
+    return (angle_deg - before_deg + 180.0) % 360.0 - 180.0
