@@ -84,13 +84,13 @@ class MujocoView:
         self._renderer.close()
 
     def picture(self, pose: Pose, when_s: float = 0.0, during: Sequence[Pose] = ()) -> Bytes2D:
-        """uint8 (height, width, 3), a new array; see `Renderer.picture`."""
+        """uint8 (height, width, 3), a new array; see `Renderer.picture`. A blur is mixed of two views: they are dear."""
         import cv2
 
-        poses = during if len(during) > 1 else (pose,)
-        mixed: Any = self._seen(poses[0], when_s)
-        for number, further in enumerate(poses[1:], start=2):
-            mixed = cv2.addWeighted(mixed, 1.0 - 1.0 / number, self._seen(further, when_s), 1.0 / number, 0.0)
+        if len(during) > 1:
+            mixed: Any = cv2.addWeighted(self._seen(during[0], when_s), 0.5, self._seen(during[-1], when_s), 0.5, 0.0)
+        else:
+            mixed = self._seen(pose, when_s)
         return self._sensor.picture(np.asarray(mixed, dtype=np.uint8), when_s)
 
     def _seen(self, pose: Pose, when_s: float) -> Bytes2D:

@@ -19,7 +19,7 @@ _PANEL_M = 0.35
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hidden:
-    """What structures hide: shown, uint8 (h, w), 255 where one is seen; reach_m, float32 (h, w), how far off it is there,
+    """What structures hide: shown, uint8 (h, w), 255 where one is seen; reach_m, float32 (h, w), how far off it is,
     along the floor.
     """
 
