@@ -84,7 +84,7 @@ class MujocoView:
         self._renderer.close()
 
     def picture(self, pose: Pose, when_s: float = 0.0, during: Sequence[Pose] = ()) -> Bytes2D:
-        """uint8 (height, width, 3), a new array; see `Renderer.picture`. A blur is mixed of two views: they are dear."""
+        """uint8 (height, width, 3), a new array; see `Renderer.picture`. Blur is mixed of two views: they are dear."""
         import cv2
 
         if len(during) > 1:
