@@ -43,12 +43,14 @@ class Stage:
         self._bus = FakeI2cBus([Pca9685Fake()])
         self._line = LineFake()
         self._seen = 0
+        self.host: I2cHost | PtyHost = (
+            I2cHost(self._bus, self._path) if kind == "i2c" else PtyHost(self._line, self._path, baud=BAUD)
+        )
 
     @contextlib.contextmanager
     def up(self) -> Iterator[Stage]:
         """With the fake on its line."""
-        host = I2cHost(self._bus, self._path) if self.kind == "i2c" else PtyHost(self._line, self._path, baud=BAUD)
-        with host:
+        with self.host:
             try:
                 yield self
             finally:

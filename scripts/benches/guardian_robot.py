@@ -116,7 +116,7 @@ def _obey(runtime: Any, words: list[str], tell: Callable[..., Any]) -> None:
             tell(at_ns=now_ns)
         case ["fork"]:
             if os.fork() == 0:
-                time.sleep(2.0)
+                time.sleep(1.0)
                 os._exit(0)
             tell(at_ns=now_ns)
         case ["exception"]:

@@ -35,7 +35,7 @@ GUARDIAN = "the guardian"
 """Its name among the devices of the core; no device of a config can have it."""
 
 UNREAD_BYTES = 8192
-"""Of the socket's buffer: a guardian that leaves some ten signs of life unread does not live."""
+"""Of the socket's buffer: a guardian that leaves some twenty signs of life unread does not live."""
 AGAIN_S = 0.5
 """Until the next try, after a death or where the line could not be held."""
 END_WITHIN_S = 1.0
