@@ -132,9 +132,9 @@ class SerialMotor(Actuator[SerialConfigT, CommandT], Generic[SerialConfigT, Comm
         if self._answered is not None:
             self._answered.set()
 
-    def publish_newer(self, message: Message) -> None:
-        """Publish, unless it is not newer than the last of its type: two reports that came in one piece."""
-        if message.stamp_ns > self._newest_ns.get(type(message), -1):
+    def publish_newer(self, message: Message, every_s: float = 0.0) -> None:
+        """Publish, unless the last of its type is not older than `every_s`: two reports that came in one piece."""
+        if message.stamp_ns > self._newest_ns.get(type(message), -NS_PER_S) + every_s * NS_PER_S:
             self._newest_ns[type(message)] = message.stamp_ns
             self.publish(message)
 

@@ -93,7 +93,7 @@ class MotorLine:
             return
         self._port.write(self.stop_bytes + behind, first=True)
         self._again = True
-        self._wait(self._again_s)
+        self._wait(self._again_s + self._wire_s(self.stop_bytes))
 
     async def close(self) -> None:
         """Write the stop as the last thing, give it 0.1 s to leave, let go. May be called twice."""
@@ -126,7 +126,11 @@ class MotorLine:
         else:
             self._port.write(frame)
         if self._gap_s:
-            self._wait(self._gap_s)
+            self._wait(self._gap_s + self._wire_s(frame))
+
+    def _wire_s(self, data: bytes) -> float:
+        """How long bytes take on the wire."""
+        return len(data) * self._port.settings.byte_ns / 1e9
 
     def _wait(self, seconds: float) -> None:
         if self._timer is not None:
@@ -140,7 +144,7 @@ class MotorLine:
             if not self._port.unsent:  # else the first one is still on its way
                 self._port.write(self.stop_bytes)
             if self._gap_s:
-                self._wait(self._gap_s)
+                self._wait(self._gap_s + self._wire_s(self.stop_bytes))
                 return
         wanted, self._wanted = self._wanted, None
         if wanted is None:

@@ -15,8 +15,11 @@ from robotd.authoring.device import DeviceLost, DeviceMisconfigured, DeviceUnava
 from robotd.testing import check_actuator, virtual_time
 from robotd.world.kinematics import Kinematics
 from robotd.world.messages import Drive, Odometry, Steer
+from robotd_devices.motor import vesc_packets
 from robotd_devices.motor.mc_fake import McFake
 from robotd_devices.motor.mc_motors import McMotors
+from robotd_devices.motor.vesc import Vesc
+from robotd_devices.motor.vesc_fake import VescFake
 
 
 @dataclass(frozen=True)
@@ -49,6 +52,15 @@ CASES = {
         CAR,
         TWO_WHEELS,
         line_s=0.0002,
+    ),
+    "vesc": Case(
+        Vesc,
+        VescFake,
+        lambda fake, at: fake.erpm(at),
+        lambda data: data in (vesc_packets.ask_values(), vesc_packets.ask_version()),
+        CAR,
+        TWO_WHEELS,
+        line_s=0.0018,
     ),
 }
 
