@@ -282,14 +282,20 @@ def test_arming_freezes_what_is_alive() -> None:
 
 
 def test_the_same_robot_runs_on_the_real_loop() -> None:
-    """Ten scans at 100 Hz: the stop first, a command in the turn of a scan, the stop last."""
-    runtime = Runtime(robot(behaviour(Go), lidar=ScriptConfig(hz=100.0)))
+    """Until its tenth step, however long that takes: the stop first, a command in the turn of a scan, the stop last."""
+    steps = 0
 
-    def started(running: Runtime) -> None:
-        asyncio.get_running_loop().call_later(0.25, running.stop)
+    class Ten(Go):
+        def step(self, seen: Sees) -> Drive | None:
+            nonlocal steps
+            steps += 1
+            if steps == 10:
+                runtime.stop()
+            return super().step(seen)
 
+    runtime = Runtime(robot(behaviour(Ten), lidar=ScriptConfig(hz=100.0)))
     with asyncio.Runner(loop_factory=real_loop) as runner:
-        runner.run(runtime.run(started))
+        runner.run(asyncio.wait_for(runtime.run(), 30.0))
     base = runtime.devices[0].device
     assert isinstance(base, FakeBase)
     assert base.log[0][1] == "halt" and base.log[-1][1] == "halt"
