@@ -126,13 +126,13 @@ class Guarding:
     # ------------------------------------------------------------------------------------ signs of life
 
     def beat(self, armed: bool) -> None:
-        """The act tick's sign of life. Where it comes too late for the guardian, that is a trip."""
+        """The sign of life at the end of an act tick; after a trip it says that the robot is disarmed."""
         now_ns = self._loop.now_ns()
         if self.state is State.TRIPPED and not armed:
             self.state = State.IDLE
             self._send(b"A")
-        elif self.state is State.WATCHING and armed and not self._is_alive(now_ns):
-            self._trip(now_ns - self._beat_ns)
+        elif armed and not self.may_write():
+            return
         elif self.state in (State.IDLE, State.WATCHING) and now_ns - self._beat_ns >= self._shortest_ns:
             self._breathe(armed, now_ns)
 

@@ -107,9 +107,9 @@ class Runtime:
         self._stopping = loop.create_future()
         await loop.run_in_executor(None, self._load)
         base = self._build(loop)
-        self.started_ns = loop.now_ns()
         try:
             self._start_guardian(base, loop)
+            self.started_ns = loop.now_ns()
             if self.world is not None:
                 await self.world.open()
             async with asyncio.TaskGroup() as group:
@@ -248,7 +248,7 @@ class Runtime:
 
     def suspend(self) -> None:
         """Stop and disarm, then let the terminal stop this process; after SIGCONT it stands there, disarmed."""
-        if self.core.operator.armed:
+        if self.devices and self.core.operator.armed:  # else it is still loading
             self.core.request(Disarm("SIGTSTP", "suspended"), self._loop.now_ns())
         if self.guarding is not None:
             self.guarding.stop_now()
@@ -290,11 +290,8 @@ class Runtime:
 
     def _tick(self, due_ns: int) -> None:
         now_ns = self._loop.now_ns()
-        armed = self.core.operator.armed
         if self.guarding is not None:
-            self.guarding.beat(armed)
-        if self.mark is not None and not armed:
-            self.mark.set(False)
+            self.guarding.may_write()  # where this comes too late, it disarms before the tick decides anything
         late_ns = now_ns - due_ns
         self.tick_late_ns = late_ns
         missed, next_ns = skip_missed(due_ns, self._period_ns, now_ns)
@@ -306,6 +303,12 @@ class Runtime:
             self.core.tick(now_ns)
         except Exception as error:
             self.fail(error)
+            return
+        armed = self.core.operator.armed
+        if self.guarding is not None:
+            self.guarding.beat(armed)  # the motors' write is not kept waiting for it
+        if self.mark is not None and not armed:
+            self.mark.set(False)
 
     def _step_on_time(self, node: Node, due_ns: int, period_ns: int) -> None:
         now_ns = self._loop.now_ns()
