@@ -119,7 +119,7 @@ def test_its_grey_levels_are_those_of_the_real_pictures_too() -> None:
     assert 105 <= otsu <= 142
 
 
-FRAME = tuple(FloorLine(np.array([(x_m, -4.0), (x_m, 4.0)])) for x_m in (-4.0, 4.0))
+FRAME = tuple(FloorLine(np.array([(x_m, -2.8), (x_m, 2.8)])) for x_m in (-2.8, 2.8))
 """Gives a map with and one without a thing the same bounds, and so the same lamps."""
 
 
