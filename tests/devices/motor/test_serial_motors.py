@@ -9,15 +9,17 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import pytest
-from serial_motors import CAR, TWO_WHEELS, Motor, hold, motor, now_ns, when
+from serial_motors import CAR, MECANUM, TWO_WHEELS, Motor, hold, motor, now_ns, when
 
 from robotd.authoring.device import DeviceLost, DeviceMisconfigured, DeviceUnavailable, SerialStop
 from robotd.testing import check_actuator, virtual_time
 from robotd.world.kinematics import Kinematics
 from robotd.world.messages import Drive, Odometry, Steer
-from robotd_devices.motor import vesc_packets
+from robotd_devices.motor import rosmaster_packets, vesc_packets
 from robotd_devices.motor.mc_fake import McFake
 from robotd_devices.motor.mc_motors import McMotors
+from robotd_devices.motor.rosmaster import Rosmaster
+from robotd_devices.motor.rosmaster_fake import RosmasterFake
 from robotd_devices.motor.vesc import Vesc
 from robotd_devices.motor.vesc_fake import VescFake
 
@@ -61,6 +63,16 @@ CASES = {
         CAR,
         TWO_WHEELS,
         line_s=0.0018,
+    ),
+    "rosmaster": Case(
+        Rosmaster,
+        RosmasterFake,
+        lambda fake, at: fake.moving,
+        lambda data: data == rosmaster_packets.auto_report(True),
+        MECANUM,
+        TWO_WHEELS,
+        # the board may lose the first stop behind a command
+        line_s=0.0022 + 0.0072,
     ),
 }
 

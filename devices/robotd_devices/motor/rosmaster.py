@@ -1,0 +1,110 @@
+"""A mecanum base on Yahboom's Rosmaster board (X3, X3 Plus): velocities down; speeds, battery and IMU up."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal
+
+from pydantic import Field
+
+from robotd.authoring.device import Watchdog
+from robotd.world.kinematics import Mecanum, saturate
+from robotd.world.messages import Battery, Drive, Imu, Message, Odometry
+from robotd_devices.motor import rosmaster_packets as packets
+from robotd_devices.motor.rosmaster_packets import Report, RosmasterParser
+from robotd_devices.motor.serial_motor import SerialMotor, SerialMotorConfig
+
+_CARS = {"x3": 1, "x3_plus": 2}
+_BATTERY_EVERY_S = 0.5
+
+
+class RosmasterConfig(SerialMotorConfig):
+    """Parameters of a Rosmaster board. The defaults fit an X3."""
+
+    port: str = Field(default="/dev/serial/by-id/usb-1a86_USB*", min_length=1)
+    """Serial port by its stable name, or a pattern that fits one; the default is the board's CH340."""
+    car: Literal["x3", "x3_plus"] = "x3"
+    """Which car the board moves."""
+    vx_limit_mps: float = Field(default=1.0, gt=0.0, le=3.0)
+    """The firmware's own limits: a faster command is slowed down as a whole, so that its direction stays the same."""
+    vy_limit_mps: float = Field(default=1.0, gt=0.0, le=3.0)
+    """The same to the side."""
+    wz_limit_radps: float = Field(default=5.0, gt=0.0, le=20.0)
+    """The same turning."""
+    vx_reversed: bool = False
+    """The board's x points backwards."""
+    vy_reversed: bool = False
+    """The board's y points to the right."""
+    wz_reversed: bool = False
+    """The board counts turns clockwise."""
+    imu: bool = True
+    """Publish what its inertial sensor measures."""
+
+
+class Rosmaster(SerialMotor[RosmasterConfig, Drive]):
+    """Drives a mecanum base and publishes the speeds that the board makes of its encoders, added up.
+
+    Nothing stops the motors when the program falls silent: the board drives on (`watchdog` is none).
+    Faults that it counts: `bad packet`.
+    """
+
+    sim_twin = "sim_base"
+    emits: ClassVar[tuple[type[Message], ...]] = (Odometry, Battery, Imu)
+    watchdog = Watchdog("none")
+    gap_s = packets.GAP_S
+    again_s = 0.005
+    # no delimiter exists: zeros that end the longest command of ours, and begin none
+    delimiter = bytes(packets.LONGEST)
+
+    @classmethod
+    def publish_period_s(cls, config: RosmasterConfig) -> float:
+        return 0.04
+
+    def prepare(self) -> None:
+        self.body(Mecanum, "wheelbase_m: 0.16, track_m: 0.17, wheel_radius_m: 0.0325")
+        self._parser = RosmasterParser()
+        self._has_answered = False
+        config = self.config
+        self._car = _CARS[config.car]
+        self._x, self._y, self._z = (
+            -1.0 if reversed_ else 1.0 for reversed_ in (config.vx_reversed, config.vy_reversed, config.wz_reversed)
+        )
+
+    async def begin(self) -> None:
+        await self.answer(
+            packets.auto_report(True),
+            lambda: self._has_answered,
+            every_s=0.1,
+            hint="is the board's switch on, and is this its port and not the lidar's?",
+        )
+
+    # ------------------------------------------------------------------------------------- to the motors
+
+    def stop_bytes(self) -> bytes:
+        return self.delimiter + packets.motion(_CARS[self.config.car], 0.0, 0.0, 0.0)
+
+    def frame(self, command: Drive) -> bytes:
+        config = self.config
+        drive = saturate(command, config.vx_limit_mps, config.vy_limit_mps, config.wz_limit_radps)
+        return packets.motion(
+            self._car, self._x * drive.vx_mps, self._y * drive.vy_mps, self._z * drive.wz_radps
+        )  # fmt: skip
+
+    # ----------------------------------------------------------------------------------- from the sensors
+
+    def received(self, data: bytes, now_ns: int) -> None:
+        for report in self._parser.feed(data):
+            self.heard(now_ns)
+            self._take(report, now_ns)
+        if self._parser.faults:
+            self._parser.faults = 0
+            self.context.link.fault("bad packet", "noise on the line, or the wrong baud")
+
+    def _take(self, report: Report, now_ns: int) -> None:
+        if report.kind == packets.SPEED:
+            self._has_answered = True
+            speed = packets.speed_of(report.data)
+            drive = Drive(self._x * speed.vx_mps, self._z * speed.wz_radps, self._y * speed.vy_mps)
+            self.publish_newer(self.pose.speed(drive, now_ns))
+            self.publish_newer(Battery(now_ns, speed.voltage_v), _BATTERY_EVERY_S)
+        elif report.kind in (packets.MPU, packets.ICM) and self.config.imu:
+            self.publish_newer(Imu(now_ns, *packets.imu_of(report)))
