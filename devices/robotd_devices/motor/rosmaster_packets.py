@@ -83,12 +83,8 @@ def speed_of(data: bytes) -> Speed:
 
 def speed_data(speed: Speed) -> bytes:
     """The data of a SPEED report; for fakes and tests."""
-    return _SPEED.pack(
-        round(speed.vx_mps * 1000),
-        round(speed.vy_mps * 1000),
-        round(speed.wz_radps * 1000),
-        round(speed.voltage_v * 10),
-    )
+    vx, vy, wz = (round(value * 1000) for value in speed[:3])
+    return _SPEED.pack(vx, vy, wz, round(speed.voltage_v * 10))
 
 
 def imu_of(report: Report) -> tuple[float, float, float, float, float, float]:

@@ -15,9 +15,11 @@ from robotd.authoring.device import DeviceLost, DeviceMisconfigured, DeviceUnava
 from robotd.testing import check_actuator, virtual_time
 from robotd.world.kinematics import Kinematics
 from robotd.world.messages import Drive, Odometry, Steer
-from robotd_devices.motor import rosmaster_packets, vesc_packets
+from robotd_devices.motor import roboclaw_packets, rosmaster_packets, vesc_packets
 from robotd_devices.motor.mc_fake import McFake
 from robotd_devices.motor.mc_motors import McMotors
+from robotd_devices.motor.roboclaw import RoboClaw
+from robotd_devices.motor.roboclaw_fake import RoboClawFake
 from robotd_devices.motor.rosmaster import Rosmaster
 from robotd_devices.motor.rosmaster_fake import RosmasterFake
 from robotd_devices.motor.vesc import Vesc
@@ -73,6 +75,15 @@ CASES = {
         TWO_WHEELS,
         # the board may lose the first stop behind a command
         line_s=0.0022 + 0.0072,
+    ),
+    "roboclaw": Case(
+        RoboClaw,
+        RoboClawFake,
+        lambda fake, at: float(sum(map(abs, fake.speed_qpps(at)))),
+        lambda data: len(data) == 2 or data[1] == roboclaw_packets.SET_TIMEOUT,
+        TWO_WHEELS,
+        CAR,
+        line_s=0.0052,
     ),
 }
 

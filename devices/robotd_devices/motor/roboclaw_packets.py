@@ -1,0 +1,158 @@
+"""The packet serial mode of a RoboClaw motor controller, as a sans-IO codec.
+
+    a command   address  command  arguments  CRC-16/XMODEM of them all     is answered by FF
+    a question  address  command                                           is answered by data and the CRC of
+                                                                           address, command and data
+Everything is big-endian; addresses are 80 to 87. After 10 ms without a byte the controller begins anew.
+Source: Basicmicro, RoboClaw user manual (packet serial), and its Python library as tcr-roboclaw has it.
+"""
+
+from __future__ import annotations
+
+import binascii
+import struct
+from typing import NamedTuple
+
+SET_TIMEOUT, GET_TIMEOUT = 14, 15
+ENCODER_1, ENCODER_2, RESET_ENCODERS, VERSION, BATTERY = 16, 17, 20, 21, 24
+DUTY, SPEED, CURRENTS, STATUS = 34, 37, 49, 90
+ANSWER_BYTES = {GET_TIMEOUT: 1, ENCODER_1: 5, ENCODER_2: 5, BATTERY: 2, CURRENTS: 4, STATUS: 4}
+"""Data bytes of each answer; a version is text up to a zero byte, 48 at most."""
+LONGEST = 12
+"""Bytes of the longest command of ours."""
+ACKNOWLEDGED = 0xFF
+_MOST_ACKS = 8
+_VERSION_BYTES = 48
+
+FAULTS = {
+    0x000001: "emergency stop input",
+    0x000002: "too hot",
+    0x000004: "second sensor too hot",
+    0x000008: "main voltage too high",
+    0x000010: "logic voltage too high",
+    0x000020: "logic voltage too low",
+    0x000040: "M1 driver fault",
+    0x000080: "M2 driver fault",
+    0x000100: "M1 speed error",
+    0x000200: "M2 speed error",
+    0x001000: "M1 current error",
+    0x002000: "M2 current error",
+    0x010000: "M1 over current",
+    0x020000: "M2 over current",
+    0x040000: "main voltage high",
+    0x080000: "main voltage low",
+    0x100000: "hot",
+    0x200000: "second sensor hot",
+}
+
+
+def crc16(data: bytes) -> int:
+    """CRC-16/XMODEM."""
+    return binascii.crc_hqx(data, 0)
+
+
+def _sealed(body: bytes) -> bytes:
+    return body + crc16(body).to_bytes(2, "big")
+
+
+def question(address: int, command: int) -> bytes:
+    """Ask for something."""
+    return bytes((address, command))
+
+
+def speed(address: int, m1_qpps: int, m2_qpps: int) -> bytes:
+    """Turn at so many counts of a quadrature encoder a second, by the controller's own PID."""
+    return _sealed(struct.pack(">BBii", address, SPEED, m1_qpps, m2_qpps))
+
+
+def duty(address: int, m1: int, m2: int) -> bytes:
+    """Share of the voltage, -32767 to 32767; 0 stops whatever mode was on."""
+    return _sealed(struct.pack(">BBhh", address, DUTY, m1, m2))
+
+
+def set_timeout(address: int, tenths: int) -> bytes:
+    """Stop both motors after so many tenths of a second without a byte; 0: never. Lasts until it is switched off."""
+    return _sealed(bytes((address, SET_TIMEOUT, tenths)))
+
+
+def answer(address: int, command: int, data: bytes) -> bytes:
+    """The bytes of an answer; for fakes and tests."""
+    return data + crc16(bytes((address, command)) + data).to_bytes(2, "big")
+
+
+def count_of(data: bytes) -> int:
+    """The count of an encoder's answer, signed; its status byte is left out."""
+    return int.from_bytes(data[:4], "big", signed=True)
+
+
+def fault_names(status: int) -> frozenset[str]:
+    """Names of the bits of a STATUS answer that are faults or warnings of the motors and supplies."""
+    return frozenset(name for bit, name in FAULTS.items() if status & bit)
+
+
+class Answer(NamedTuple):
+    """An answer that came whole."""
+
+    command: int
+    data: bytes
+
+
+class RoboClawReader:
+    """Tells acknowledgements and the answer to the one open question apart. `asked` opens it; one at a time.
+
+    Answers have no header: those of commands that were written before the question stand before its own, one byte FF
+    each, so the answer is looked for behind 0 to 8 of them, and its checksum decides.
+    """
+
+    def __init__(self, address: int) -> None:
+        self._address = address
+        self._open: int | None = None
+        self._rest = b""
+        self.acknowledged = 0
+        """Commands that were answered while no question was open."""
+        self.faults = 0
+        """Runs of bytes that were neither; the reader sets it back."""
+
+    @property
+    def is_free(self) -> bool:
+        """Whether no question is open."""
+        return self._open is None
+
+    def asked(self, command: int) -> None:
+        """A question was written."""
+        self._open, self._rest = command, b""
+
+    def give_up(self) -> None:
+        """The answer does not come any more."""
+        self._open, self._rest = None, b""
+
+    def feed(self, data: bytes) -> Answer | None:
+        """The answer that these bytes complete."""
+        if self._open is None:
+            acks = data.count(ACKNOWLEDGED)
+            self.acknowledged += acks
+            self.faults += acks < len(data)
+            return None
+        self._rest += data
+        for at in range(_MOST_ACKS + 1):
+            size = self._size(at)
+            if size is not None and len(self._rest) >= at + size + 2:
+                found = self._rest[at : at + size]
+                if self._rest[at + size : at + size + 2] == answer(self._address, self._open, found)[-2:]:
+                    command, rest = self._open, self._rest[at + size + 2 :]
+                    self.give_up()
+                    self.feed(rest)
+                    return Answer(command, found)
+            if self._rest[at : at + 1] != b"\xff":
+                break
+        if len(self._rest) > _MOST_ACKS + _VERSION_BYTES + 2:
+            self.faults += 1
+            self.give_up()
+        return None
+
+    def _size(self, at: int) -> int | None:
+        assert self._open is not None
+        if self._open != VERSION:
+            return ANSWER_BYTES[self._open]
+        end = self._rest.find(b"\0", at, at + _VERSION_BYTES)
+        return end + 1 - at if end >= 0 else None
