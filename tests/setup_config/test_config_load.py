@@ -270,6 +270,26 @@ def test_a_device_without_a_twin_is_refused_by_name(write: Any) -> None:
     assert (problem.path, problem.line) == ("devices.motors", 13)
 
 
+def test_the_file_may_name_another_twin(write: Any) -> None:
+    text = changed("    lidar: {beams: 90}", "    lidar: {use: fake_lidar, port: /dev/null}")
+    loaded = load_config(write(text), sim=True, registry=fake.registry())
+    assert loaded.parts.devices[0].cls is fake.Lidar
+    assert parts_from_merged(loaded.merged, sim=True, registry=fake.registry()).devices == loaded.parts.devices
+    assert load_config(write(text), registry=fake.registry()).parts.devices[0].config != loaded.parts.devices[0].config
+
+
+@pytest.mark.parametrize(
+    ("entry", "path", "message"),
+    [
+        ("{use: fake_lidr, beams: 90}", "simulation.devices.lidar.use", "fake_lidr"),
+        ("{use: fake_lidar, prt: /dev/null}", "simulation.devices.lidar.prt", "unknown key"),
+    ],
+)
+def test_another_twin_is_checked_like_the_first(write: Any, entry: str, path: str, message: str) -> None:
+    problems = check(write(changed("    lidar: {beams: 90}", f"    lidar: {entry}")), sim=True)
+    assert [p for p in problems if p.path == path and message in p.message], problems
+
+
 def test_sim_needs_its_section(write: Any) -> None:
     text = fake.FILE.partition("simulation:")[0]
     assert check(write(text)) == []

@@ -257,22 +257,31 @@ class Assembler:
         nobody = replace(entry, cls=None, config=None)
         if entry.cls is None:
             return nobody
-        if entry.cls.sim_twin is None:
+        raw = overrides.get(entry.name)
+        params = dict(raw) if isinstance(raw, dict) else {}
+        named = params.pop("use", None)
+        if named is None and entry.cls.sim_twin is None:
             # without --sim nothing is replaced; parameters for a twin that cannot be are a mistake all the same
             if self.sim or entry.name in overrides:
                 self._blurred = self._blurred or self.sim
                 self.checker.at_key(
-                    entry.path if self.sim else path, f"{entry.cls.__name__} has no simulated twin (`sim_twin`)"
+                    entry.path if self.sim else path,
+                    f"{entry.cls.__name__} has no simulated twin (`sim_twin`)",
+                    f"name one: simulation: {{devices: {{{entry.name}: {{use: ...}}}}}}",
                 )
             return nobody
         try:
-            cls = self.registry.load("devices", entry.cls.sim_twin)
+            cls = self.registry.load("devices", str(named) if named is not None else str(entry.cls.sim_twin))
         except PluginError as error:
-            self.checker.at_key(entry.path, f"its simulated twin: {error.message}", error.hint)
+            if named is not None:
+                self.checker.at_value((*path, "use"), error.message, error.hint)
+            else:
+                self.checker.at_key(entry.path, f"its simulated twin: {error.message}", error.hint)
             self._blurred = self._blurred or self.sim
             return nobody
-        raw = overrides.get(entry.name)
-        config = self.checker.model(cls.config_type, raw if raw is not None else {}, path)
+        config = self.checker.model(cls.config_type, params, path, also=("use",))
+        if isinstance(raw, dict):
+            raw.update(params)
         # a twin may publish less than the device that it stands for
         kinds = {kind.__name__ for kind in cls.emits}
         return replace(entry, cls=cls, config=config, topics={k: t for k, t in entry.topics.items() if k in kinds})
