@@ -85,6 +85,8 @@ class Rplidar(Sensor[RplidarConfig, LidarScan]):
         self._reader: RplidarReader | None = None
         self._stamp_ns = 0
         self._scans = 0
+        self._quiet_from = -1
+        """Bytes of the line when scans began to be missed."""
         self.scanning: talk.Scanning | None = None
         """Model, firmware, scan mode and motor; None while closed."""
 
@@ -162,7 +164,10 @@ class Rplidar(Sensor[RplidarConfig, LidarScan]):
                 first, scans = scans < 0, self._scans
                 if not first:
                     since_s, tried = loop.time(), 0
+                self._quiet_from = -1
                 continue
+            if self._quiet_from < 0 and self._line is not None:
+                self._quiet_from = self._line.bytes
             silence_s = loop.time() - since_s
             try:
                 if silence_s >= silent_s:
@@ -195,13 +200,14 @@ class Rplidar(Sensor[RplidarConfig, LidarScan]):
         self._listen(settings)
 
     def _why(self) -> str:
-        reader, config = self._reader, self.config
-        assert reader is not None and self._line is not None
-        if reader.bytes == 0:
+        reader, line = self._reader, self._line
+        assert reader is not None and line is not None
+        count = line.bytes - self._quiet_from
+        if count == 0:
             return "no byte came: has the lidar lost its supply?"
         if reader.not_turning:
             return "it sends but does not turn: is it blocked, or its supply too weak?"
-        return f"{reader.bytes} bytes came but no whole turn: is something else sending on {config.port}?"
+        return f"{count} bytes came but no whole turn: is something else sending on {self.config.port}?"
 
     async def close(self) -> None:
         watch, self._watch = self._watch, None
@@ -209,6 +215,7 @@ class Rplidar(Sensor[RplidarConfig, LidarScan]):
         scanning, self.scanning = self.scanning, None
         if watch is not None:
             watch.cancel()
+            await asyncio.wait((watch,))
         if line is not None:
             motor = scanning.motor if scanning is not None else "none"
             await line.leave(talk.stop_commands(motor), raise_dtr=motor == "dtr")

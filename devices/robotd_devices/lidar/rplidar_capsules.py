@@ -174,7 +174,7 @@ class CapsuleParser:
             self._next_at = at
         self._rest = buffer[at:]
         self._next_at -= at
-        self._arrivals.done()
+        self._arrivals.done(len(self._rest))
         return found
 
     def _header(self, buffer: bytes, at: int) -> int:

@@ -118,7 +118,7 @@ class NodeParser:
                 self._missing = -1
                 self._disturbed("lost alignment")
         self._rest = buffer[at:]
-        self._arrivals.done()
+        self._arrivals.done(len(self._rest))
         return found
 
     def _accept(self, found: list[NodeRun], buffer: bytes, at: int, count: int, last: int) -> None:

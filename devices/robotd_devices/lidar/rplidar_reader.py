@@ -21,8 +21,6 @@ class RplidarReader:
 
     def __init__(self, answer: int, sweep: BeamSweep, byte_ns: float, rotation_hz: float) -> None:
         self.sweep = sweep
-        self.bytes = 0
-        """Bytes read since the last scan."""
         self._packets_then = 0
         form = FORMATS.get(answer)
         step_deg = 360e-9 * rotation_hz * sweep.beam_ns
@@ -42,9 +40,8 @@ class RplidarReader:
 
     def feed(self, data: bytes, now_ns: int) -> Iterator[LidarScan]:
         """Take bytes that were read at `now_ns`; the scans that they complete, one by one."""
-        self.bytes += len(data)
         for scan in self._scans(data, now_ns):
-            self.bytes, self._packets_then, self._parser.trouble = 0, self._parser.packets, ""
+            self._packets_then, self._parser.trouble = self._parser.packets, ""
             yield scan
 
     def _scans(self, data: bytes, now_ns: int) -> Iterator[LidarScan]:

@@ -60,7 +60,7 @@ class Start(NamedTuple):
     """Write and wait for a stream to begin."""
 
     data: bytes
-    within_s: float = _SCAN_S
+    within_s: float
 
 
 class Pause(NamedTuple):
@@ -256,12 +256,12 @@ def stop_commands(motor: Motor) -> bytes:
     return wire.request(wire.STOP) + halt
 
 
-def scan(info: wire.Info, mode: ScanMode) -> Talk[None]:
+def scan(info: wire.Info, mode: ScanMode, within_s: float = _SCAN_S) -> Talk[None]:
     """Start the scan; raises DeviceUnavailable where no stream of the mode's type begins."""
     standard = mode.answer == STANDARD_ANSWER
     start = wire.request(wire.SCAN) if standard else wire.express_scan(mode.number or 0)
     for _ in range(2):
-        descriptor = yield Start(start)
+        descriptor = yield Start(start, within_s)
         if descriptor is not None and descriptor.kind == mode.answer:
             return
         yield Say(wire.request(wire.STOP))
@@ -272,16 +272,15 @@ def scan(info: wire.Info, mode: ScanMode) -> Talk[None]:
 
 def again(scanning: Scanning, wishes: Wishes, *, motor_too: bool) -> Talk[None]:
     """A scan that ran dry begins anew; with `motor_too` the motor is off for half a second first."""
+    yield Say(stop_commands(scanning.motor) if motor_too else wire.request(wire.STOP))
     if motor_too:
-        yield Say(stop_commands(scanning.motor))
         if scanning.motor == "dtr":
             yield Dtr(True)
         yield Pause(0.5)
-        yield from turn(scanning.motor, wishes)
-    else:
-        yield Say(wire.request(wire.STOP))
     yield Quiet(within_s=0.3)
-    yield from scan(scanning.info, scanning.mode)
+    # also where it was not stopped: after a brown-out it has forgotten
+    yield from turn(scanning.motor, wishes)
+    yield from scan(scanning.info, scanning.mode, within_s=0.4)
 
 
 def anew(wishes: Wishes) -> Talk[Scanning]:
