@@ -66,7 +66,7 @@ class RoboClaw(SerialMotor[RoboClawConfig, Drive]):
 
     @property
     def polls_hz(self) -> float:
-        return 2.0 * self.config.poll_hz
+        return self.config.poll_hz
 
     @classmethod
     def publish_period_s(cls, config: RoboClawConfig) -> float:
@@ -174,8 +174,7 @@ class RoboClaw(SerialMotor[RoboClawConfig, Drive]):
         if answer is not None:
             self._take(answer, now_ns)
             self.heard(now_ns)
-            if self._due and answer.command != packets.ENCODER_2:
-                self._ask_next()  # both encoders are read as close together as the line allows
+            self._ask_next()  # both encoders are read as close together as the line allows
 
     def _take(self, answer: Answer, now_ns: int) -> None:
         command, data = answer

@@ -15,7 +15,9 @@ from robotd.authoring.device import DeviceLost, DeviceMisconfigured, DeviceUnava
 from robotd.testing import check_actuator, virtual_time
 from robotd.world.kinematics import Kinematics
 from robotd.world.messages import Drive, Odometry, Steer
-from robotd_devices.motor import roboclaw_packets, rosmaster_packets, vesc_packets
+from robotd_devices.motor import arduino_bridge_lines, roboclaw_packets, rosmaster_packets, vesc_packets
+from robotd_devices.motor.arduino_bridge import ArduinoBridge
+from robotd_devices.motor.arduino_bridge_fake import ArduinoBridgeFake
 from robotd_devices.motor.mc_fake import McFake
 from robotd_devices.motor.mc_motors import McMotors
 from robotd_devices.motor.roboclaw import RoboClaw
@@ -41,6 +43,8 @@ class Case:
     config: dict[str, Any] = field(default_factory=dict)
     line_s: float = 0.0
     """Time of the stop's bytes on the wire."""
+    boot_s: float = 0.0
+    """How long it hears nothing after opening."""
 
     @property
     def command(self) -> Any:
@@ -84,6 +88,16 @@ CASES = {
         TWO_WHEELS,
         CAR,
         line_s=0.0052,
+    ),
+    "arduino_bridge": Case(
+        ArduinoBridge,
+        ArduinoBridgeFake,
+        lambda fake, at: float(sum(map(abs, fake.ticks(at)))),
+        lambda data: data == arduino_bridge_lines.encoders(),
+        TWO_WHEELS,
+        CAR,
+        line_s=0.0013,
+        boot_s=1.5,
     ),
 }
 
@@ -221,7 +235,7 @@ async def test_unplugged_and_back(case: Case) -> None:
         count = len(line.writes)
         began_s = asyncio.get_running_loop().time()
         await device.open()
-        assert asyncio.get_running_loop().time() - began_s < 1.0
+        assert asyncio.get_running_loop().time() - began_s < 1.0 + case.boot_s
         assert line.writes[count][1] == device.stop_bytes()
         await device.close()
     assert len(asyncio.all_tasks()) == tasks
@@ -238,7 +252,7 @@ async def test_silent_controller_is_a_loss_and_a_stop(case: Case) -> None:
     await asyncio.sleep(0.05)
     assert case.turns(fake, now_ns()) == 0.0
     await device.close()
-    with pytest.raises(DeviceUnavailable, match=r"motors: no answer on .* baud for 2 s: "):
+    with pytest.raises(DeviceUnavailable, match=r"motors: no answer on .* baud for [24] s: "):
         await device.open()
     await device.close()
     fake.is_mute = False
