@@ -14,7 +14,7 @@ from robotd.world.messages import LidarScan
 from robotd_devices.lidar import rplidar_talk as talk
 from robotd_devices.lidar.beam_sweep import BeamSweep
 from robotd_devices.lidar.delivery import deliver
-from robotd_devices.lidar.rplidar_line import RplidarLine
+from robotd_devices.lidar.dialogue import Dialogue
 from robotd_devices.lidar.rplidar_models import BAUDS
 from robotd_devices.lidar.rplidar_reader import RplidarReader
 from robotd_devices.lidar.rplidar_wire import Info
@@ -79,7 +79,7 @@ class Rplidar(Sensor[RplidarConfig, LidarScan]):
     def __init__(self, config: RplidarConfig, context: DeviceContext | None = None) -> None:
         super().__init__(config, context)
         self._wishes = talk.Wishes(config.mode, config.motor, config.pwm, round(60.0 * config.rotation_hz))
-        self._line: RplidarLine | None = None
+        self._line: Dialogue | None = None
         self._watch: asyncio.Task[None] | None = None
         self._baud: int | None = None
         self._reader: RplidarReader | None = None
@@ -105,14 +105,14 @@ class Rplidar(Sensor[RplidarConfig, LidarScan]):
         self._listen(settings)
         self._watch = asyncio.get_running_loop().create_task(self._keep_going(settings))
 
-    async def _find(self) -> tuple[RplidarLine, SerialSettings, Info]:
+    async def _find(self) -> tuple[Dialogue, SerialSettings, Info]:
         """The open line at the speed at which the lidar answers."""
         config = self.config
         bauds = [config.baud] if config.baud != "auto" else sorted(BAUDS, key=lambda baud: baud != self._baud)
         heard = 0
         for baud in bauds:
             settings = SerialSettings(config.port, baud, dtr=None if config.motor == "none" else False)
-            line = self._line = RplidarLine(self.context.link.fault)
+            line = self._line = Dialogue(self.context.link.fault)
             await line.open(serial_port(settings, config.backend, line.take, self._gone))
             info = await line.say(talk.hello())
             if info is not None:

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from robotd_devices.lidar.arrivals import Arrivals
-from robotd_devices.lidar.rplidar_wire import xor
+from robotd_devices.lidar.xor_fold import xor_fold
 
 TURN_Q6 = 360 << 6
 _FIRST = 0x80
@@ -52,14 +52,7 @@ def is_sound(capsule: bytes) -> bool:
     first, second = capsule[0], capsule[1]
     if first & 0xF0 != 0xA0 or second & 0xF0 != 0x50:
         return False
-    # halving: the exclusive or of two halves, as numbers, has the same exclusive or of bytes
-    rest = int.from_bytes(capsule[2:], "little")
-    bits = 8 * (len(capsule) - 2)
-    while bits > 8:
-        half = (bits // 2 + 7) & ~7
-        rest = (rest >> half) ^ (rest & ((1 << half) - 1))
-        bits = half
-    return rest == (first & 0x0F | (second & 0x0F) << 4)
+    return xor_fold(capsule[2:], 1) == first & 0x0F | (second & 0x0F) << 4
 
 
 def seal(form: CapsuleFormat, start_q6: int, data: bytes, *, first: bool = False, middle: bytes = b"") -> bytes:
@@ -67,7 +60,7 @@ def seal(form: CapsuleFormat, start_q6: int, data: bytes, *, first: bool = False
     body = middle + (start_q6 | (first << 15)).to_bytes(2, "little") + data
     if len(body) + 2 != form.size:
         raise ValueError(f"an {form.name} capsule has {form.size} bytes, not {len(body) + 2}")
-    check = xor(body)
+    check = xor_fold(body, 1)
     return bytes((0xA0 | check & 0x0F, 0x50 | check >> 4)) + body
 
 

@@ -11,10 +11,12 @@ import numpy as np
 from robotd.world.messages import Float64s
 from robotd_devices.lidar import rplidar_samples as samples
 from robotd_devices.lidar import rplidar_wire as wire
+from robotd_devices.lidar.answers import encode_descriptor
 from robotd_devices.lidar.ld19_fake import BoxRoom, RangeOf
 from robotd_devices.lidar.rplidar_capsules import DENSE, EXPRESS, FORMATS, TURN_Q6, ULTRA, CapsuleFormat, seal
 from robotd_devices.lidar.rplidar_models import Motor, ScanMode
 from robotd_devices.lidar.rplidar_nodes import NODE_BYTES
+from robotd_devices.lidar.xor_fold import xor_fold
 
 STANDARD = 0x81
 _BANNER = b"RP LIDAR System.\r\nFirmware Ver %d.%02d, HW Ver %d\r\nModel: %02x\r\n"
@@ -151,7 +153,7 @@ class RplidarFake:
                 end = 4 + heard[2]
                 if len(heard) < end:
                     return  # like the device: an incomplete request is waited for
-                if wire.xor(heard[: end - 1]) != heard[end - 1]:
+                if xor_fold(heard[: end - 1], 1) != heard[end - 1]:
                     self._heard = heard[1:]
                     continue
             self._heard = heard[end:]
@@ -189,7 +191,7 @@ class RplidarFake:
                 self._answer(wire.CONF, payload[:4] + value)
 
     def _answer(self, kind: int, data: bytes) -> None:
-        self._out += wire.encode_descriptor(len(data), kind) + data
+        self._out += encode_descriptor(len(data), kind) + data
 
     def _conf(self, payload: bytes) -> bytes | None:
         model = self.model
@@ -223,7 +225,7 @@ class RplidarFake:
             return
         self.scanning = mode = self.model.modes[number]
         size = FORMATS[mode.answer].size if mode.answer in FORMATS else NODE_BYTES
-        self._out += wire.encode_descriptor(size, mode.answer, stream=True)
+        self._out += encode_descriptor(size, mode.answer, stream=True)
         self._restart(now_ns)
 
     def _restart(self, now_ns: int) -> None:

@@ -1,25 +1,17 @@
-"""The conversation with an RPLIDAR as steps without input or output: who are you, are you well, turn, scan.
+"""What is said with an RPLIDAR, without input or output: who are you, are you well, turn, scan.
 
-Each conversation is a generator: it yields what to do and is sent what came of it. A shell (or a test on virtual time)
-carries the steps out:
-
-    Say(data)                     write                                            -> None
-    Ask(data, kind, within_s)     write, wait for the answer of a type             -> its bytes, or None: no answer
-    Start(data, within_s)         write, wait for the descriptor of a stream       -> Descriptor, or None
-    Pause(s), Quiet(s, within_s)  wait; wait for a silence, dropping what comes    -> None
-    Dtr(on)                       set the modem line, where there is one           -> None
-    Warn(name, detail)            count a fault                                    -> None
+Conversations are generators of the steps of `dialogue`.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Generator
 from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeAlias, TypeVar, cast, get_args
+from typing import cast, get_args
 
 from robotd.authoring.device import DeviceMisconfigured, DeviceUnavailable
 from robotd_devices.lidar import rplidar_wire as wire
+from robotd_devices.lidar.dialogue import Ask, Dtr, Pause, Quiet, Say, Start, Talk, Warn
 from robotd_devices.lidar.rplidar_capsules import FORMATS
 from robotd_devices.lidar.rplidar_models import (
     EXPRESS_FIRMWARE,
@@ -36,62 +28,9 @@ from robotd_devices.lidar.rplidar_models import (
 
 STANDARD_ANSWER = 0x81
 
-ANSWER_S = 0.3
 _BOARD_S = 0.5
 _BOOT_S, _BOOT_QUIET_S = 2.0, 0.3
 _SCAN_S = 1.5
-
-
-class Say(NamedTuple):
-    """Write."""
-
-    data: bytes
-
-
-class Ask(NamedTuple):
-    """Write and wait for an answer of a type."""
-
-    data: bytes
-    kind: int
-    within_s: float = ANSWER_S
-
-
-class Start(NamedTuple):
-    """Write and wait for a stream to begin."""
-
-    data: bytes
-    within_s: float
-
-
-class Pause(NamedTuple):
-    """Wait."""
-
-    seconds: float
-
-
-class Quiet(NamedTuple):
-    """Drop what comes until nothing came for `seconds`, at most for `within_s`."""
-
-    seconds: float = 0.05
-    within_s: float = 1.0
-
-
-class Dtr(NamedTuple):
-    """Set the modem line."""
-
-    on: bool
-
-
-class Warn(NamedTuple):
-    """Count a fault that is survived."""
-
-    name: str
-    detail: str
-
-
-Step: TypeAlias = Say | Ask | Start | Pause | Quiet | Dtr | Warn
-T = TypeVar("T")
-Talk: TypeAlias = Generator[Step, Any, T]
 
 
 @dataclass(frozen=True, slots=True)

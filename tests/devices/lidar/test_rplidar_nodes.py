@@ -8,9 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robotd_devices.lidar.answers import AnswerReader
 from robotd_devices.lidar.rplidar_fake import RplidarFake
 from robotd_devices.lidar.rplidar_nodes import NodeParser, NodeRun, decode_node, encode_node
-from robotd_devices.lidar.rplidar_wire import SCAN, AnswerReader, motor_pwm, motor_rpm, request
+from robotd_devices.lidar.rplidar_wire import SCAN, motor_pwm, motor_rpm, request
 from robotd_devices.ports.fakes import DAMAGES, Damage, damage
 
 STEP_DEG = 0.72

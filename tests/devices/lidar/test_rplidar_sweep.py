@@ -10,12 +10,13 @@ import pytest
 
 from robotd.world.messages import Float64s, LidarScan
 from robotd.world.robot import Mount
+from robotd_devices.lidar.answers import AnswerReader
 from robotd_devices.lidar.beam_sweep import Beams, BeamSweep
 from robotd_devices.lidar.ld19_fake import BoxRoom, RangeOf
 from robotd_devices.lidar.rplidar_capsules import FORMATS
 from robotd_devices.lidar.rplidar_fake import MODELS, RplidarFake
 from robotd_devices.lidar.rplidar_reader import RplidarReader
-from robotd_devices.lidar.rplidar_wire import SCAN, AnswerReader, express_scan, motor_pwm, motor_rpm, request
+from robotd_devices.lidar.rplidar_wire import SCAN, express_scan, motor_pwm, motor_rpm, request
 
 CASES = [(name, mode.number or 0) for name, model in MODELS.items() for mode in model.modes]
 IDS = [f"{name} {MODELS[name].modes[mode].name}" for name, mode in CASES]

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robotd_devices.lidar import answers
 from robotd_devices.lidar import rplidar_wire as wire
 
 
@@ -45,14 +46,14 @@ def test_requests(made: bytes, stated: str) -> None:
 )
 def test_descriptors(stated: str, size: int, stream: bool, kind: int) -> None:
     data = bytes.fromhex(stated)
-    assert wire.decode_descriptor(data) == (size, stream, kind)
-    assert wire.encode_descriptor(size, kind, stream=stream) == data
+    assert answers.decode_descriptor(data) == (size, stream, kind)
+    assert answers.encode_descriptor(size, kind, stream=stream) == data
 
 
 @pytest.mark.parametrize("data", [b"\xa5\x5a\x05", bytes.fromhex("a55b0500004081")])
 def test_what_is_no_descriptor(data: bytes) -> None:
     with pytest.raises(ValueError, match="begins with a5 5a"):
-        wire.decode_descriptor(data)
+        answers.decode_descriptor(data)
 
 
 def test_info_and_health() -> None:
@@ -63,7 +64,7 @@ def test_info_and_health() -> None:
     assert wire.decode_health(b"\x02\x34\x12") == (2, 0x1234)
 
 
-ANSWER = wire.encode_descriptor(20, wire.INFO) + bytes(range(20))
+ANSWER = answers.encode_descriptor(20, wire.INFO) + bytes(range(20))
 
 
 @pytest.mark.parametrize(
@@ -74,14 +75,14 @@ ANSWER = wire.encode_descriptor(20, wire.INFO) + bytes(range(20))
         bytes.fromhex("3d012da00f3e012da00fa5"),
         b"\xa5",
         b"\xa5\xa5\x5a",
-        wire.encode_descriptor(3, wire.HEALTH) + b"\x00\x00\x00",
-        wire.encode_descriptor(5, 0x81, stream=True) + bytes.fromhex("3d012da00f"),
+        answers.encode_descriptor(3, wire.HEALTH) + b"\x00\x00\x00",
+        answers.encode_descriptor(5, 0x81, stream=True) + bytes.fromhex("3d012da00f"),
     ],
     ids=["nothing", "boot text", "old nodes", "half a mark", "two marks", "another answer", "a stream"],
 )
 @given(cuts=st.lists(st.integers(1, 30), min_size=1, max_size=8))
 def test_an_answer_among_other_bytes_in_any_chunks(before: bytes, cuts: list[int]) -> None:
-    reader = wire.AnswerReader(wire.INFO)
+    reader = answers.AnswerReader(wire.INFO)
     data, at, turn = before + ANSWER + b"rest", 0, 0
     while at < len(data):
         size = cuts[turn % len(cuts)]
@@ -92,7 +93,7 @@ def test_an_answer_among_other_bytes_in_any_chunks(before: bytes, cuts: list[int
 
 
 def test_the_beginning_of_a_stream() -> None:
-    reader = wire.AnswerReader(None)
+    reader = answers.AnswerReader(None)
     assert not reader.feed(ANSWER + bytes.fromhex("a55a5400"))
     assert reader.feed(bytes.fromhex("004082a5590012"))
     assert reader.descriptor == (84, True, 0x82)

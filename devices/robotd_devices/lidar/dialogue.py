@@ -1,17 +1,80 @@
-"""Carries the steps of a conversation with an RPLIDAR out on a serial port, on the running event loop."""
+"""Conversations with a device on a serial line: their steps, and carrying them out on the running event loop.
+
+A conversation is a generator: it yields what to do and is sent what came of it. A shell (or a test on virtual time)
+carries the steps out:
+
+    Say(data)                     write                                            -> None
+    Ask(data, kind, within_s)     write, wait for the answer of a type             -> its bytes, or None: no answer
+    Start(data, within_s)         write, wait for the descriptor of a stream       -> Descriptor, or None
+    Pause(s), Quiet(s, within_s)  wait; wait for a silence, dropping what comes    -> None
+    Dtr(on)                       set the modem line, where there is one           -> None
+    Warn(name, detail)            count a fault                                    -> None
+"""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 from robotd.authoring.device import DeviceLost
-from robotd_devices.lidar.rplidar_talk import Ask, Dtr, Pause, Quiet, Say, Start, Step, T, Talk, Warn
-from robotd_devices.lidar.rplidar_wire import AnswerReader
+from robotd_devices.lidar.answers import AnswerReader
 from robotd_devices.ports.serial_port import SerialPort
 
 
-class RplidarLine:
+class Say(NamedTuple):
+    """Write."""
+
+    data: bytes
+
+
+class Ask(NamedTuple):
+    """Write and wait for an answer of a type."""
+
+    data: bytes
+    kind: int
+    within_s: float = 0.3
+
+
+class Start(NamedTuple):
+    """Write and wait for a stream to begin."""
+
+    data: bytes
+    within_s: float
+
+
+class Pause(NamedTuple):
+    """Wait."""
+
+    seconds: float
+
+
+class Quiet(NamedTuple):
+    """Drop what comes until nothing came for `seconds`, at most for `within_s`."""
+
+    seconds: float = 0.05
+    within_s: float = 1.0
+
+
+class Dtr(NamedTuple):
+    """Set the modem line."""
+
+    on: bool
+
+
+class Warn(NamedTuple):
+    """Count a fault that is survived."""
+
+    name: str
+    detail: str
+
+
+Step: TypeAlias = Say | Ask | Start | Pause | Quiet | Dtr | Warn
+T = TypeVar("T")
+Talk: TypeAlias = Generator[Step, Any, T]
+
+
+class Dialogue:
     """One open port and who listens to it: the conversation, or (from `stream` on) a parser.
 
     warn(name, detail): called for what a conversation survived.
