@@ -107,7 +107,7 @@ class Lens:
         return np.where(seen[:, None], found, math.nan)
 
     def rays(self, pixels: Float64s) -> Float64s:
-        """Unit rays (n, 3) in the camera frame that pixels (n, 2) look along, exact to rounding; nan beyond the fold."""
+        """Unit rays (n, 3) in the camera frame that pixels (n, 2) look along, to rounding; nan beyond the fold."""
         plane = ((np.asarray(pixels, dtype=np.float64) - (self.cx_px, self.cy_px)) / (self.fx_px, self.fy_px)).T
         if self.model == "fisheye":
             radius = np.hypot(*plane)
