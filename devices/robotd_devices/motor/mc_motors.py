@@ -49,7 +49,7 @@ class McMotors(SerialMotor[McConfig, Steer]):
     The stop is MODE_SET(0), and no DRIVE after it: with a fresh heartbeat some builds of the firmware make 0.22 m/s of
     a DRIVE with speed 0 (`mc.CREEP_MM_S`). Auto mode is switched on with the first command behind a stop, and with each
     until the controller says that it is on. Faults that it counts: `bad frame`, `cannot reverse`, and the controller's
-    own `kill latched`, `heartbeat timed out`, `command timed out`, `command without auto mode`.
+    own `kill latched`, `heartbeat timed out`, `command timed out`.
     """
 
     sim_twin = "sim_car"
@@ -69,7 +69,7 @@ class McMotors(SerialMotor[McConfig, Steer]):
         self._car = self.body(Ackermann, "wheelbase_m: 0.257, track_m: 0.16, max_steering_deg: 25")
         self._parser = McParser()
         self._seq = 0
-        self._is_auto = self._is_driving = self._has_answered = False
+        self._is_auto = self._has_answered = False
         self._sign = -1 if self.config.steering_reversed else 1
 
     async def begin(self) -> None:
@@ -89,12 +89,12 @@ class McMotors(SerialMotor[McConfig, Steer]):
         return mc.STOP
 
     def halt(self) -> None:
-        self._is_auto = self._is_driving = False
+        self._is_auto = False
         super().halt()
 
     def estop(self) -> None:
         """The stop of an e-stop: with `kill_on_estop` it is followed by KILL, which the controller latches."""
-        self._is_auto = self._is_driving = False
+        self._is_auto = False
         if self._line is not None:
             self._line.stop(mc.kill() if self.config.kill_on_estop else b"")
 
@@ -107,7 +107,6 @@ class McMotors(SerialMotor[McConfig, Steer]):
         steer_cdeg = self._sign * round(100.0 * math.degrees(command.steering_rad))
         steer_cdeg = max(-mc.STEER_CDEG, min(mc.STEER_CDEG, steer_cdeg))
         drive = mc.drive(steer_cdeg, speed_mm_s, self.config.ttl_ms, self._next_seq())
-        self._is_driving = True
         # with a heartbeat of its own, so that it holds from now on
         return drive if self._is_auto else mc.mode_set(True) + mc.ping(self._next_seq()) + drive
 
@@ -129,8 +128,8 @@ class McMotors(SerialMotor[McConfig, Steer]):
     def _take(self, frame: McFrame, now_ns: int) -> None:
         if frame.kind == Kind.STATUS and (status := mc.status_of(frame)) is not None:
             self._is_auto = bool(status.auto)
-            # after a stop the last command is still in time, and that is as it should be
-            self.faults_now(status.fault_names if self._is_driving else status.fault_names - {mc.WITHOUT_AUTO})
+            # after each stop the last command is still in time, which the controller then reports: no fault
+            self.faults_now(status.fault_names - {mc.WITHOUT_AUTO})
             if self.config.odometry == "status":
                 self._tell(status.speed_mm_s, self._yaw_of(status), now_ns)
         elif frame.kind == Kind.IMU and (imu := mc.imu_of(frame)) is not None and imu.is_valid:
