@@ -75,10 +75,10 @@ class ArduinoBridgeFake:
         self._out += text.encode() + b"\r\n"
 
     def _turn(self, now_ns: int) -> None:
-        passed_s = (now_ns - self._now_ns) / 1e9
+        passed_s = max(0, now_ns - self._now_ns) / 1e9
         for i, ticks in enumerate(self.ticks(now_ns)):
             self._counts[i] += ticks * lines.FRAMES_HZ * passed_s
-        self._now_ns = now_ns
+        self._now_ns = max(self._now_ns, now_ns)
 
     def tick(self, now_ns: int) -> bytes:
         self._turn(now_ns)

@@ -109,7 +109,7 @@ class McFake:
             faults |= mc.TTL_EXPIRED
         if not self.auto and self._in_time(now_ns):
             faults |= mc.NOT_AUTO
-        age_ms = NEVER_MS if self._drive_ns is None else min(NEVER_MS - 1, (now_ns - self._drive_ns) // _MS)
+        age_ms = NEVER_MS if self._drive_ns is None else min(NEVER_MS - 1, max(0, now_ns - self._drive_ns) // _MS)
         speed, steer = self.speed_mm_s(now_ns), self.steer_cdeg(now_ns)
         status = struct.pack("<BBHhhH", self._seq & 0xFF, self.auto, faults, speed, steer, age_ms)
         if self._long_status:

@@ -57,10 +57,10 @@ class RoboClawFake:
         return b"" if self.is_mute else out
 
     def _turn(self, now_ns: int) -> None:
-        passed_s = (now_ns - self._now_ns) / 1e9
+        passed_s = max(0, now_ns - self._now_ns) / 1e9
         for i, speed in enumerate(self.speed_qpps(now_ns)):
             self._counts[i] += speed * passed_s
-        self._now_ns = now_ns
+        self._now_ns = max(self._now_ns, now_ns)
 
     def _take(self) -> bool:
         """One packet, or one byte that begins none; False where more must come."""

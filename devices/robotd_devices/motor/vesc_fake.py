@@ -52,8 +52,8 @@ class VescFake:
 
     def _turn(self, now_ns: int) -> None:
         # six counts a revolution, sixty seconds a minute
-        self._counts += self.erpm(now_ns) / 10.0 * (now_ns - self._now_ns) / 1e9
-        self._now_ns = now_ns
+        self._counts += self.erpm(now_ns) / 10.0 * max(0, now_ns - self._now_ns) / 1e9
+        self._now_ns = max(self._now_ns, now_ns)
 
     def _take(self, payload: bytes, now_ns: int) -> None:
         command = payload[0]
