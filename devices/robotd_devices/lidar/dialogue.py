@@ -189,14 +189,14 @@ class Dialogue:
                 raise DeviceLost(self._gone)
         return True
 
-    async def leave(self, last_words: bytes, raise_dtr: bool) -> None:
-        """Say the last words, wait for them a moment at most, and let go of the port."""
+    async def leave(self, last_words: bytes, dtr: bool | None) -> None:
+        """Say the last words, set the modem line, wait a moment at most for them to be out, and let go of the port."""
         port, self._port = self._port, None
         if port is None:
             return
         if last_words and not self._gone:
             port.write(last_words, first=True)
-            if raise_dtr:
-                port.set_dtr(True)
+            if dtr is not None:
+                port.set_dtr(dtr)
             await port.drain(0.1)
         port.abort()

@@ -119,7 +119,7 @@ class Rplidar(Sensor[RplidarConfig, LidarScan]):
                 self._baud = baud
                 return line, settings, info
             heard += line.bytes
-            await line.leave(b"", raise_dtr=False)
+            await line.leave(b"", dtr=None)
         tried = ", ".join(str(baud) for baud in bauds)
         why = (
             f"{heard} bytes came but no answer: is {config.port} this lidar's port?"
@@ -218,7 +218,7 @@ class Rplidar(Sensor[RplidarConfig, LidarScan]):
             await asyncio.wait((watch,))
         if line is not None:
             motor = scanning.motor if scanning is not None else "none"
-            await line.leave(talk.stop_commands(motor), raise_dtr=motor == "dtr")
+            await line.leave(talk.stop_commands(motor), dtr=True if motor == "dtr" else None)
 
     def _gone(self, reason: str) -> None:
         opening = self._watch is None
