@@ -246,7 +246,7 @@ def fingerprint(root: Path = ROOT) -> str:
     digest = hashlib.sha256()
     for shelf in ("runtime", "plugins", "devices", "scripts/benches", "configs", "maps"):
         for file in sorted((root / shelf).rglob("*")):
-            if file.suffix in (".py", ".yaml"):
+            if file.suffix in (".py", ".yaml", ".json"):
                 digest.update(str(file.relative_to(root)).encode() + b"\0" + file.read_bytes() + b"\0")
     return digest.hexdigest()[:16]
 

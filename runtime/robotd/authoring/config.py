@@ -12,11 +12,13 @@ class FileKey:
     """Marks a text parameter as the name of a file: `map: Annotated[str, FileKey("maps")] = "line_track"`.
 
     A relative name counts from the config's own folder; the parameter's value is then the whole path. With `shelf`,
-    the name of a file that robotd ships there (`maps`) is taken too and stays as it is. A file that does not exist is
-    refused at its key. (Parameters of pydantic's `FilePath` count from the config's folder likewise.)
+    the name of a file that robotd ships there (`maps`), with or without its suffix, is taken too and stays as it is. A
+    file that does not exist is refused at its key. (Parameters of pydantic's `FilePath` count from the config's folder
+    likewise.)
     """
 
     shelf: str = ""
+    suffix: str = ".yaml"
 
 
 class Config(BaseModel):

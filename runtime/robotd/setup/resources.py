@@ -21,16 +21,16 @@ def shelf(kind: str) -> Path | None:
     return None
 
 
-def shipped(kind: str) -> dict[str, Path]:
-    """File name to path of the shipped YAML files of a kind, sorted by name."""
+def shipped(kind: str, suffix: str = ".yaml") -> dict[str, Path]:
+    """File name to path of the shipped files of a kind with this suffix, sorted by name."""
     folder = shelf(kind)
-    return {} if folder is None else {file.name: file for file in sorted(folder.glob("*.yaml"))}
+    return {} if folder is None else {file.name: file for file in sorted(folder.glob(f"*{suffix}"))}
 
 
-def find_shipped(kind: str, name: str) -> Path | None:
-    """A shipped file by name, with or without `.yaml`; None where there is none."""
-    files = shipped(kind)
-    return files.get(name) or files.get(f"{name}.yaml")
+def find_shipped(kind: str, name: str, suffix: str = ".yaml") -> Path | None:
+    """A shipped file by name, with or without its suffix; None where there is none."""
+    files = shipped(kind, suffix)
+    return files.get(name) or files.get(f"{name}{suffix}")
 
 
 def find_config(name: str | Path) -> Path:

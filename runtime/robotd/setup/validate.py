@@ -136,10 +136,10 @@ class Checker:
         full = given if self.folder is None else self.folder / given
         if key is None or full.is_file():
             return str(full)
-        if key.shelf and given.name == value and find_shipped(key.shelf, value) is not None:
+        if key.shelf and given.name == value and find_shipped(key.shelf, value, key.suffix) is not None:
             return value
-        names = [name.removesuffix(".yaml") for name in shipped(key.shelf)] if key.shelf else []
-        near = nearest(given.name.removesuffix(".yaml"), names)
+        names = [name.removesuffix(key.suffix) for name in shipped(key.shelf, key.suffix)] if key.shelf else []
+        near = nearest(given.name.removesuffix(key.suffix), names)
         hint = f"did you mean '{near}'?" if near else f"shipped {key.shelf}: {', '.join(names)}" if names else ""
         self.at_value(path, f"there is no file '{value}' (expected a path, relative to this config)", hint)
         return value

@@ -47,7 +47,8 @@ class Drove:
 
 def drive(world_map: str, seed: int, limit_s: float, *sets: str, camera: type[SimCamera] = SimCamera) -> Drove:
     """Run until the goal ends (plus half a second) or `limit_s`, without the page."""
-    parts = load_config(JETBOT, sim=True, sets=(f"simulation.map={world_map}", f"simulation.seed={seed}", *sets)).parts
+    line = ("behaviours.jetbot_route.map=null", f"simulation.map={world_map}", f"simulation.seed={seed}")
+    parts = load_config(JETBOT, sim=True, sets=(*line, *sets)).parts
     devices = tuple(replace(part, cls=camera) if part.cls is SimCamera else part for part in parts.devices)
     runtime = Runtime(replace(parts, devices=devices, bridges=()), virtual=True, arm=True)
     drove = Drove(runtime=runtime)

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from robotd import Config
 from robotd_plugins.behaviours.jetbot_route import JetBotRouteConfig
 from robotd_plugins.behaviours.jetbot_route.states import State
 from robotd_plugins.perception.floor_line import FloorLineConfig
@@ -23,13 +24,16 @@ PAGE = (Path(__file__).resolve().parents[3] / "docs" / "behaviours" / "jetbot_ro
 def test_the_table_of_keys_is_the_config(name: str, config: Any) -> None:
     section = PAGE.split("## Parameters", 1)[1].split(f"\n`{name}`", 1)[1].split("\n\n`", 1)[0].split("\n## ", 1)[0]
     told = dict(re.findall(r"^\| `(\w+)` \| `?([^|`]*?)`? \|", section, re.MULTILINE))
-    real = {
-        key: field.default if isinstance(field.default, str) else json.dumps(field.default)
-        for key, field in config.model_fields.items()
-        if key != "lens"
+    assert told == {
+        key: _written(field.get_default(call_default_factory=True)) for key, field in config.model_fields.items()
     }
-    told.pop("lens", None)
-    assert told == real
+
+
+def _written(default: Any) -> str:
+    """A default as the tables write it; a group of keys stands in a table of its own."""
+    if isinstance(default, Config):
+        return "{}"
+    return default if isinstance(default, str) else json.dumps(default)
 
 
 def test_every_state_is_told() -> None:

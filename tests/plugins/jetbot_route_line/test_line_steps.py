@@ -35,7 +35,7 @@ class Walk:
         self.number += 1
         line = self.look(t_s, *args, **how)
         self.said = self.behaviour.step(
-            Sees(line=line, odometry=Odometry(ns(t_s), self.x_m, 0.0, self.yaw_rad), now_ns=ns(t_s))
+            Sees(line=line, odometry=Odometry(ns(t_s), self.x_m, 0.0, self.yaw_rad), scan=None, now_ns=ns(t_s))
         )
         if isinstance(self.said, Drive):
             self.x_m += self.said.vx_mps / HZ
@@ -192,7 +192,7 @@ def test_without_metres_it_steers_by_the_picture(walk: Callable[..., Walk], look
         far=replace(seen.far, x=-0.2, ahead_m=math.nan, left_m=math.nan),
         heading_rad=math.nan,
     )
-    said = walking.behaviour.step(Sees(line=bare, odometry=Odometry(ns(1.0), 0.0, 0.0, 0.0), now_ns=ns(1.0)))
+    said = walking.behaviour.step(Sees(line=bare, odometry=Odometry(ns(1.0), 0.0, 0.0, 0.0), scan=None, now_ns=ns(1.0)))
     assert isinstance(said, Drive) and said.wz_radps > 0.1
 
 
@@ -203,6 +203,7 @@ def test_keeps_the_contract(look: Callable[..., Any]) -> None:
         return Sees(
             line=look(t_s, 0.01 * math.sin(number), bar_m=0.3 if number > 20 else None),
             odometry=odometry,
+            scan=None,
             now_ns=ns(t_s),
         )
 

@@ -2,15 +2,33 @@
 
 from __future__ import annotations
 
-from pydantic import Field, model_validator
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, field_validator, model_validator
 
 from robotd import Config
-from robotd.authoring.config import Goal
+from robotd.authoring.config import FileKey, Goal
+from robotd.setup.resources import find_shipped
+from robotd_plugins.behaviours.jetbot_route.intersection_cues import OpenSpaceConfig, OppositeMarkersConfig
+from robotd_plugins.behaviours.jetbot_route.node_cues import CueWeights
+from robotd_plugins.behaviours.jetbot_route.route_map_file import read_route_map_file
+from robotd_plugins.behaviours.jetbot_route.route_plan import PlanCosts
+
+Heading = Literal["N", "E", "S", "W"]
 
 
 class JetBotRouteConfig(Config):
-    """How the robot follows the line. Distances are along the floor, measured by odometry, never by time."""
+    """How the robot drives. Distances are along the floor, measured by odometry, never by time."""
 
+    map: Annotated[str, FileKey("maps", ".json")] | None = None
+    """The route map, a file or the name of a shipped one; null: along the line to its end, without a map."""
+    pitch_m: float = Field(default=0.9, gt=0.1, le=10.0)
+    """Metres of one unit of the map."""
+    heading: Heading = "E"
+    """Where the robot looks at the start, unless the goal says otherwise."""
+    costs: PlanCosts = Field(default_factory=PlanCosts)
+    """What turns cost in a plan."""
     base_speed_mps: float = Field(default=0.20, gt=0.0, le=1.0)
     """Speed along the line (BASE_SPEED)."""
     slow_speed_mps: float = Field(default=0.08, gt=0.0, le=1.0)
@@ -56,6 +74,36 @@ class JetBotRouteConfig(Config):
     """The axle stops so far before the line's end."""
     wait_for_line_s: float = Field(default=10.0, gt=0.0, le=600.0)
     """It waits so long at the start for a line in both regions."""
+    odometry_error_share: float = Field(default=0.2, ge=0.0, lt=0.5)
+    """Odometry may be off by this share of a way before the robot has learned its scale on the first edges."""
+    node_tolerance_m: float = Field(default=0.08, gt=0.0, le=1.0)
+    """Beyond that a node may be so far from where the map has it; what is seen elsewhere is no node."""
+    distance_near_m: float = Field(default=0.10, ge=0.0, le=1.0)
+    """The distance travelled speaks for a node within this of where the map has it."""
+    road_heading_rad: float = Field(default=0.2, gt=0.0, le=1.57)
+    """Roads are straight: while one is driven, a line that is off its direction by more is not it."""
+    road_jump_m: float = Field(default=0.04, gt=0.0, le=0.5)
+    """A line that is more than this beside where it was is not the road that is driven."""
+    cues: CueWeights = Field(default_factory=CueWeights)
+    """What each sign of a node weighs."""
+    lidar: Literal["opposite_markers", "open_space"] | None = "opposite_markers"
+    """The strategy by which the lidar knows a crossing; null: it is not asked."""
+    opposite_markers: OppositeMarkersConfig = Field(default_factory=OppositeMarkersConfig)
+    open_space: OpenSpaceConfig = Field(default_factory=OpenSpaceConfig)
+    brake_mps2: float = Field(default=0.25, gt=0.0, le=5.0)
+    """It slows down so softly before a node at which it stops."""
+    arrive_m: float = Field(default=0.012, ge=0.0, le=0.1)
+    """It stops so far before a node's centre, for what it rolls on (INTERSECTION_APPROACH_DURATION, as a distance)."""
+    settle_s: float = Field(default=0.15, ge=0.0, le=5.0)
+    """At rest for so long on a node before it decides; pictures taken before the robot rested do not count."""
+    turn_slack_rad: float = Field(default=0.5, gt=0.0, le=1.2)
+    """The new line is looked for so far to both sides of a turn's angle."""
+    turn_timeout_s: float = Field(default=15.0, gt=0.0, le=120.0)
+    """A turn that takes longer has failed."""
+    turn_retries: int = Field(default=1, ge=0, le=5)
+    """So often it looks about for the new line once more before it gives up."""
+    validation_s: float = Field(default=1.5, gt=0.0, le=30.0)
+    """It looks so long for the new line before it moves on to it."""
 
     @model_validator(mode="after")
     def _makes_sense(self) -> JetBotRouteConfig:
@@ -69,6 +117,27 @@ class JetBotRouteConfig(Config):
             raise ValueError(f"lost_m {self.lost_m} must not be above reacquire_m {self.reacquire_m}")
         return self
 
+    @field_validator("map")
+    @classmethod
+    def _map_is_right(cls, name: str | None) -> str | None:
+        if name is not None:
+            errors = read_route_map_file(map_path(name)).errors
+            if errors:
+                raise ValueError("\n".join(str(error) for error in errors))
+        return name
+
 
 class JetBotRouteGoal(Goal):
-    """Follow the line to its end."""
+    """From a node to a node of the map; without a map, follow the line to its end."""
+
+    start_node: str | int | None = None
+    """Where the robot stands; default: the map's start."""
+    end_node: str | int | None = None
+    """Where it shall go; default: the map's end, of several the nearest."""
+    heading: Heading | None = None
+    """Where it looks; default: the config's `heading`."""
+
+
+def map_path(name: str) -> Path:
+    """The file of a map: by path, else the shipped one of that name."""
+    return find_shipped("maps", name, ".json") or Path(name)

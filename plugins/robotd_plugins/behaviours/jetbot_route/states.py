@@ -1,4 +1,4 @@
-"""The states of `jetbot_route` and the pure function that leads from one to the next."""
+"""The states of `jetbot_route`, and the pure function that leads from one to the next where there is no map."""
 
 from __future__ import annotations
 
@@ -17,9 +17,15 @@ class State(Enum):
     DRIVING_STRAIGHT = "DRIVING_STRAIGHT"
     """Following the line."""
     APPROACHING_INTERSECTION = "APPROACHING_INTERSECTION"
-    """A crossing is believed to be ahead, at a known place."""
+    """A crossing, with a map the next node, is believed to be ahead, at a known place."""
+    HANDLING_EVENT = "HANDLING_EVENT"
+    """Standing on a node: deciding what to do there."""
+    TURNING = "TURNING"
+    """Turning on the spot, until the new line lies ahead."""
+    LINE_VALIDATION = "LINE_VALIDATION"
+    """Standing: is there a line, and does it lead where the chosen road should?"""
     LEAVING_INTERSECTION = "LEAVING_INTERSECTION"
-    """Past the crossing's middle, on the chosen course."""
+    """Leaving the crossing's middle, on the chosen course."""
     REACQUIRING_LINE = "REACQUIRING_LINE"
     """Looking for the line, after a crossing or after losing it."""
     DEAD_END = "DEAD_END"
@@ -78,6 +84,7 @@ def transition(state: State, facts: Facts, config: JetBotRouteConfig) -> tuple[S
                 return State.DRIVING_STRAIGHT, "line found"
             if facts.searched:
                 return State.DEAD_END, "the line was lost and is not to be found on either side"
-        case State.DEAD_END | State.GOAL_REACHED:
+        case _:
+            # the others belong to mapped routes, or are final
             pass
     return state, ""
