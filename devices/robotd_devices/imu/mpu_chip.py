@@ -37,7 +37,7 @@ SAMPLE = struct.Struct(">7h")
 FILTERS = ((184.0, 0.0029), (92.0, 0.0039), (41.0, 0.0059), (20.0, 0.0099), (10.0, 0.0178), (5.0, 0.0335))
 """Bandwidth in Hz and delay in s of the rates' low-pass, for the filter's settings 1 to 6, of an MPU-6500.
 
-An MPU-6050's bandwidths are the same within 7 Hz; its delays are shorter by 1 to 2 ms down to 20 Hz, then by 4 and 15 ms.
+An MPU-6050's bandwidths are the same within 7 Hz; its delays are 1 to 2 ms shorter, then 4 and 15 ms.
 """
 
 

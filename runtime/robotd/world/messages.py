@@ -184,6 +184,25 @@ class Contact(Message):
     where: str = "bumper"
 
 
+@dataclass(frozen=True, slots=True)
+class Gamepad(Message):
+    """A gamepad's state, said again and again while nothing changes.
+
+    axes: by the kernel's names (x, y, rx, ry, z, rz, hat0x, ...); -1 to 1, to the right and towards the person
+    positive; triggers 0 to 1. buttons: names of those held now. presses: how often each was pressed so far, so that a
+    short press is not lost between two messages. deadman: the dead-man's button is held, and the pad is alive.
+    """
+
+    axes: tuple[tuple[str, float], ...] = ()
+    buttons: tuple[str, ...] = ()
+    presses: tuple[tuple[str, int], ...] = ()
+    deadman: bool = False
+
+    def axis(self, name: str) -> float:
+        """The position of one axis; 0 where the pad has no such axis, or it was not moved yet."""
+        return dict(self.axes).get(name, 0.0)
+
+
 # -------------------------------------------------------------------------------------------- commands
 
 
