@@ -76,8 +76,8 @@ def _loop(options: Options) -> RealLoop | VirtualLoop:
 async def _drive(runtime: Runtime, loaded: Loaded, options: Options, view: View) -> None:
     loop: Any = asyncio.get_running_loop()
     loop.set_exception_handler(_unhandled)
-    pace = options.speed if options.sim and options.speed is not None else 1.0
-    watch = _Watch(runtime, view, loop, ns(LOOK_S * min(max(pace, 1e-3), 1e3)))
+    pace = options.speed if options.speed is not None and math.isfinite(options.speed) else 1.0
+    watch = _Watch(runtime, view, loop, ns(LOOK_S * pace))
 
     def started(running: Runtime) -> None:
         if options.duration_s is not None:
