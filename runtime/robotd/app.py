@@ -77,7 +77,7 @@ async def _drive(runtime: Runtime, loaded: Loaded, options: Options, view: View)
     loop: Any = asyncio.get_running_loop()
     loop.set_exception_handler(_unhandled)
     pace = options.speed if options.speed is not None and math.isfinite(options.speed) else 1.0
-    watch = _Watch(runtime, view, loop, ns(LOOK_S * pace))
+    watch = _Watch(runtime, view, loop, ns(LOOK_S * max(pace, 1e-3)))
 
     def started(running: Runtime) -> None:
         if options.duration_s is not None:
