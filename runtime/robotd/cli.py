@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import argparse
 import difflib
-import errno
-import math
 import os
 import signal
 import sys
@@ -14,19 +12,15 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn, TextIO, TypeAlias
 
+from robotd.setup.arguments import assignment, seconds, speed, tolerance
+from robotd.setup.exit_codes import INTERNAL, INTERRUPTED, OK, USAGE, Usage, judge
+
 if TYPE_CHECKING:
     from robotd.engine.replay import ReplayReport
 
-OK, USAGE, UNAVAILABLE, INTERNAL, TEMPORARY, PERMISSION, CONFIG = 0, 64, 69, 70, 75, 77, 78
-"""Exit codes of sysexits(3) that robotd uses; docs/cli.md says which is which."""
-INTERRUPTED = 130
 KINDS = ("behaviour", "perceptor", "device", "bridge")
 
 Args: TypeAlias = argparse.Namespace
-
-
-class Usage(Exception):
-    """The command line itself is wrong; the message says what and what to type instead."""
 
 
 class _Parser(argparse.ArgumentParser):
@@ -55,35 +49,6 @@ def _nearest(word: str, known: Iterable[str]) -> str:
 # ------------------------------------------------------------------------------------------ arguments
 
 
-def _number(text: str, least: float, what: str, *, above: bool = False) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value) or value < least or (above and value == least):
-        raise argparse.ArgumentTypeError(f"expected {what}, got {text!r}")
-    return value
-
-
-def _seconds(text: str) -> float:
-    return _number(text, 0.0, "seconds above 0", above=True)
-
-
-def _speed(text: str) -> float:
-    return math.inf if text == "max" else _number(text, 0.0, "a factor above 0 such as 2.5, or max", above=True)
-
-
-def _tolerance(text: str) -> float:
-    return _number(text, 0.0, "a difference of 0 or more")
-
-
-def _assignment(text: str) -> str:
-    key, equals, _ = text.partition("=")
-    if not equals or not key.strip():
-        raise argparse.ArgumentTypeError(f"expected path=value such as guard.latency_s=0.2, got {text!r}")
-    return text
-
-
 def _common(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-v", "--verbose", action="count", default=0, help="say more; twice: also tracebacks and other libraries"
@@ -100,7 +65,7 @@ def _layers(parser: argparse.ArgumentParser) -> None:
         metavar="PATH=VALUE",
         action="append",
         default=[],
-        type=_assignment,
+        type=assignment,
         help="set one value over the file and the environment (may be repeated)",
     )
 
@@ -110,9 +75,9 @@ def _run_arguments(parser: argparse.ArgumentParser) -> None:
     _layers(parser)
     parser.add_argument("--headless", action="store_true", help="no live view: one log line for each change")
     parser.add_argument("--arm", action="store_true", help="arm as soon as all needed devices are open")
-    parser.add_argument("--duration", metavar="S", type=_seconds, help="stop after this many seconds")
+    parser.add_argument("--duration", metavar="S", type=seconds, help="stop after this many seconds")
     parser.add_argument(
-        "--speed", metavar="X", type=_speed, help="pace of a simulation: 1 is real time, max is as fast as it can"
+        "--speed", metavar="X", type=speed, help="pace of a simulation: 1 is real time, max is as fast as it can"
     )
     parser.add_argument("--record", metavar="FILE", type=Path, help="write every input of the run to this MCAP file")
     parser.add_argument("--log-json", action="store_true", help="log as JSON lines")
@@ -132,6 +97,25 @@ def _check_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _doctor_arguments(parser: argparse.ArgumentParser) -> None:
     _file_argument(parser, "?")
+    parser.add_argument("--probe", action="store_true", help="open the devices too; motors are halted, never driven")
+    parser.add_argument("--seconds", metavar="S", type=seconds, help="how long to keep them open (default: 4)")
+    _common(parser)
+
+
+def _device_arguments(parser: argparse.ArgumentParser) -> None:
+    _file_argument(parser)
+    parser.add_argument("name", metavar="NAME", help="a device of the config")
+    parser.add_argument("what", metavar="listen|drive", choices=("listen", "drive"), help="what to do with it")
+    parser.add_argument("--seconds", metavar="S", type=seconds, help="for how long (listen: 10; drive: 1, at most 10)")
+    for option, unit in (("vx", "m/s"), ("vy", "m/s"), ("wz", "rad/s"), ("speed", "m/s"), ("steering", "rad")):
+        parser.add_argument(f"--{option}", metavar="X", type=float, help=f"drive: {unit}")
+    parser.add_argument("--fastest", metavar="V", type=seconds, help="drive: the limit in m/s (default: 0.2)")
+    parser.add_argument("--yes", action="store_true", help="drive: do not ask whether the wheels are off the ground")
+    _common(parser)
+
+
+def _udev_arguments(parser: argparse.ArgumentParser) -> None:
+    _file_argument(parser, "?")
     _common(parser)
 
 
@@ -148,7 +132,7 @@ def _replay_arguments(parser: argparse.ArgumentParser) -> None:
         "--assert", dest="demand", action="store_true", help="exit 70 unless every command comes out again"
     )
     parser.add_argument(
-        "--tolerance", metavar="T", type=_tolerance, default=0.0, help="largest difference that counts as equal"
+        "--tolerance", metavar="T", type=tolerance, default=0.0, help="largest difference that counts as equal"
     )
     _common(parser)
 
@@ -230,12 +214,44 @@ def _plugins(args: Args) -> int:
 
 
 def _doctor(args: Args) -> int:
-    from robotd.setup.doctor import examine, exit_code, report
-    from robotd.setup.probes import SystemProbes
+    from robotd.setup.doctor.examine import PROBE_S, examine
+    from robotd.setup.doctor.findings import exit_code, report
+    from robotd.setup.doctor.probes import SystemProbes
 
-    findings = examine(args.file, SystemProbes())
+    if args.file is None and args.probe:
+        raise Usage("robotd doctor --probe opens the devices of a robot: name its FILE")
+    if args.seconds is not None and not args.probe:
+        raise Usage("robotd doctor --seconds is for how long devices are opened: add --probe, or leave it out")
+    findings = examine(args.file, SystemProbes(), (args.seconds or PROBE_S) if args.probe else None)
     _print(report(findings))
     return exit_code(findings)
+
+
+def _device(args: Args) -> int:
+    from robotd.setup import bench
+    from robotd.setup.load import load_config
+
+    parts = load_config(args.file, env=os.environ).parts
+    part = bench.part_named(parts, args.name)
+    if args.what == "listen":
+        return bench.run(bench.listen(part, parts.robot, args.seconds or 10.0, _say))
+    given = {key: getattr(args, key) for key in ("vx", "vy", "wz", "speed", "steering")}
+    command = bench.wanted_command(part, parts.robot, given)
+    if not args.yes and not bench.is_allowed(sys.stdin.isatty(), input):
+        return USAGE
+    return bench.run(bench.drive(part, parts.robot, command, args.seconds or 1.0, _say, fastest_mps=args.fastest))
+
+
+def _udev(args: Args) -> int:
+    from robotd.setup import udev
+
+    if args.file is None:
+        return _print(udev.rules_for_all())
+    from robotd.setup.doctor.probes import SystemProbes
+    from robotd.setup.load import load_config
+
+    parts = load_config(args.file, env=os.environ).parts
+    return _print(udev.rules_for(args.file, udev.ports_of(parts.devices, SystemProbes())))
 
 
 def _new(args: Args) -> int:
@@ -292,6 +308,8 @@ COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None], Callab
     "schema": ("print the JSON Schema of configs, for editors", _common, _schema),
     "plugins": ("list what is installed, without importing it", _common, _plugins),
     "doctor": ("look for what keeps a robot from working, and say how to mend it", _doctor_arguments, _doctor),
+    "device": ("try one device on the bench: listen to it, or drive it for a moment", _device_arguments, _device),
+    "udev": ("print rules for serial adapters: access, lasting names, no delay", _udev_arguments, _udev),
     "new": (f"write a new plugin: {', '.join(KINDS)}", _new_arguments, _new),
     "replay": ("run a recording again and compare the commands", _replay_arguments, _replay),
     "plot": ("draw a recording as one picture", _plot_arguments, _plot),
@@ -343,51 +361,8 @@ def _print(lines: Iterable[str]) -> int:
     return OK
 
 
-def judge(error: BaseException) -> tuple[int, str]:
-    """Exit code and sentence for an error that ended a command; of a group, its worst member decides."""
-    from robotd.authoring.device import DeviceError, DeviceMisconfigured
-    from robotd.engine.devices import Unavailable
-    from robotd.setup.plot import MissingExtra
-    from robotd.setup.problems import ConfigError
-    from robotd.setup.scaffold import ScaffoldError
-
-    if isinstance(error, BaseExceptionGroup):
-        told = [judge(inner) for inner in error.exceptions]
-        return max(code for code, _ in told), "\n".join(dict.fromkeys(text for _, text in told))
-    match error:
-        case Usage() | ScaffoldError():
-            return USAGE, str(error)
-        case ConfigError() | DeviceMisconfigured():
-            forbidden = isinstance(error.__cause__, PermissionError)
-            return PERMISSION if forbidden else CONFIG, str(error)
-        case MissingExtra():
-            return UNAVAILABLE, str(error)
-        case Unavailable() | DeviceError():
-            return _os_code(_causes(error), UNAVAILABLE), str(error)
-        case OSError():
-            where = f"{error.filename}: " if error.filename is not None else ""
-            return _os_code([error], UNAVAILABLE), f"{where}{error.strerror or error}"
-    return INTERNAL, f"robotd has a fault: {type(error).__name__}: {error} (add -vv for the traceback)"
-
-
-def _causes(error: BaseException) -> list[BaseException]:
-    """`error` and what it was raised from, the nearest first."""
-    chain: list[BaseException] = []
-    link: BaseException | None = error
-    while link is not None and link not in chain:
-        chain.append(link)
-        link = link.__cause__ or link.__context__
-    return chain
-
-
-def _os_code(chain: Iterable[BaseException], otherwise: int) -> int:
-    """77 where something was forbidden, 75 where somebody else holds it, else `otherwise`."""
-    for link in chain:
-        if isinstance(link, PermissionError):
-            return PERMISSION
-        if isinstance(link, BlockingIOError) or (isinstance(link, OSError) and link.errno == errno.EBUSY):
-            return TEMPORARY
-    return otherwise
+def _say(line: str) -> None:
+    _print([line])
 
 
 def _terminated(signum: int, frame: object) -> None:

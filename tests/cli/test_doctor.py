@@ -1,126 +1,16 @@
-"""The doctor: one row a fault, each with cause, mend and exit code; and nothing to say where all is well."""
+"""The doctor, what it looks at from outside: one row a fault, each with cause, mend and exit code."""
 
 from __future__ import annotations
 
-import os
-import pty
-import socket
-import subprocess
-import sys
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Annotated, Any
-
 import pytest
+from doctor_facts import BY_ID, PORT, BusConfig, CameraConfig, FakeProbes, ModelConfig, PortConfig, part
 
-from robotd.authoring.config import Config, FileKey, NoConfig
-from robotd.authoring.device import Sensor
-from robotd.engine.parts import DevicePart, Parts
-from robotd.setup.doctor import (
-    Account,
-    Finding,
-    Holder,
-    Need,
-    NeedKind,
-    Node,
-    check_device,
-    check_packages,
-    check_plugins,
-    check_python,
-    examine,
-    exit_code,
-    needs,
-    report,
-    satisfies,
-)
-from robotd.setup.probes import SystemProbes
+from robotd.authoring.config import Config, NoConfig
+from robotd.setup.doctor.devices import check_device, check_together, needs
+from robotd.setup.doctor.examine import examine
+from robotd.setup.doctor.facts import Account, Adapter, Holder, Need, Node
+from robotd.setup.doctor.findings import Finding, exit_code, report
 from robotd.setup.problems import ConfigError, Problem
-from robotd.world.messages import LidarScan
-from robotd.world.robot import Robot
-
-PORT = "/dev/ttyUSB0"
-BY_ID = "/dev/serial/by-id/usb-1a86_0001-if00-port0"
-
-
-class PortConfig(Config):
-    port: str = PORT
-    baud: int = 230400
-
-
-class BusConfig(Config):
-    bus: int | str = 1
-    address: int = 0x60
-
-
-class CameraConfig(Config):
-    source: int | str = 0
-
-
-class ModelConfig(Config):
-    model: Annotated[str | None, FileKey()] = None
-    map: Annotated[str, FileKey("maps")] = "line_loop"
-
-
-class Lidar(Sensor[PortConfig, LidarScan]):
-    pass
-
-
-def part(config: Config, name: str = "lidar") -> DevicePart:
-    return DevicePart(name, Lidar, config)
-
-
-@dataclass
-class FakeProbes:
-    """A machine made of facts. Paths that are not named do not exist."""
-
-    nodes: Mapping[str, Node] = field(default_factory=dict)
-    who: Account = field(default_factory=lambda: Account("mai", frozenset({"mai"}), frozenset()))
-    here: Mapping[str, Sequence[str]] = field(default_factory=dict)
-    lasting: Mapping[str, str] = field(default_factory=dict)
-    network: Mapping[tuple[str, int], str] = field(default_factory=dict)
-    loading: Exception | None = None
-    robot: Parts | Exception = field(default_factory=lambda: Parts(Robot(), (part(PortConfig()),)))
-    version: tuple[int, int, int] = (3, 11, 9)
-    required: Sequence[str] = ("numpy>=2.0", "pydantic<3,>=2.10")
-    have: Mapping[str, str] = field(default_factory=lambda: {"numpy": "2.2.1", "pydantic": "2.10.0"})
-    points: Sequence[tuple[str, str, Exception | None]] = (("robotd.devices", "ld19", None),)
-
-    def python(self) -> tuple[int, int, int]:
-        return self.version
-
-    def requirements(self) -> Sequence[str]:
-        return self.required
-
-    def versions(self, names: Iterable[str]) -> Mapping[str, str]:
-        return {name: self.have[name] for name in names if name in self.have}
-
-    def plugins(self) -> Sequence[tuple[str, str, Exception | None]]:
-        return self.points
-
-    def parts(self, file: str) -> Parts:
-        if isinstance(self.robot, Exception):
-            raise self.robot
-        return self.robot
-
-    def load_error(self, part: DevicePart) -> Exception | None:
-        return self.loading
-
-    def node(self, path: str) -> Node:
-        return self.nodes.get(path, Node("absent"))
-
-    def account(self) -> Account:
-        return self.who
-
-    def candidates(self, kind: NeedKind) -> Sequence[str]:
-        return self.here.get(kind, ())
-
-    def lasting_name(self, path: str) -> str:
-        return self.lasting.get(path, "")
-
-    def reachable(self, host: str, port: int) -> str:
-        return self.network.get((host, port), "Connection refused")
-
 
 # ------------------------------------------------------------------------------------------ devices
 
@@ -162,9 +52,39 @@ MEMBER = Account("mai", frozenset({"mai", "dialout"}), frozenset({"dialout"}))
         (
             PortConfig(),
             FakeProbes({PORT: Node("device", holders=(Holder(812, "ModemManager"), Holder(900)))}),
-            69,
+            75,
             "in use by ModemManager (812), a process (900)",
             "kill 812 900",
+        ),
+        (
+            PortConfig(port="/dev/serial/by-id/*"),
+            FakeProbes(),
+            69,
+            "no serial port fits /dev/serial/by-id/*",
+            "plug it",
+        ),
+        (
+            PortConfig(port="/dev/ttyUSB*"),
+            FakeProbes({PORT: Node("device"), "/dev/ttyUSB1": Node("device")}),
+            78,
+            "2 serial ports fit /dev/ttyUSB*",
+            "write which one: /dev/ttyUSB0, /dev/ttyUSB1",
+        ),
+        (
+            PortConfig(port="/dev/ttyUSB*"),
+            FakeProbes({PORT: NO_ACCESS}, MAI),
+            77,
+            "may not use /dev/ttyUSB0",
+            "dialout",
+        ),
+        (
+            PortConfig(port="/dev/serial0"),
+            FakeProbes(
+                {"/dev/serial0": Node("device")}, links={"/dev/serial0": "/dev/ttyAMA0"}, console=["ttyAMA0", "tty1"]
+            ),
+            69,
+            "the system's console writes to /dev/serial0",
+            "take `console=ttyAMA0,...` out",
         ),
         (BusConfig(), FakeProbes(), 69, "I2C bus /dev/i2c-1 does not exist", "raspi-config"),
         (BusConfig(), FakeProbes(here={"I2C bus": ["/dev/i2c-7"]}), 69, "does not exist", "/dev/i2c-7"),
@@ -195,6 +115,14 @@ MEMBER = Account("mai", frozenset({"mai", "dialout"}), frozenset({"dialout"}))
             "user mai may not read a.onnx",
             "chmod a+r a.onnx",
         ),
+        (ModelConfig(model="a"), FakeProbes({"a": Node("file", head=b"")}), 69, "a is empty", "copy or download"),
+        (
+            ModelConfig(model="a"),
+            FakeProbes({"a": Node("file", head=b"version https://git-lfs.github.com/spec/v1")}),
+            69,
+            "a is a pointer of Git LFS",
+            "git lfs pull",
+        ),
         (
             NoConfig(),
             FakeProbes(loading=ModuleNotFoundError("No module named 'serialx'", name="serialx")),
@@ -219,12 +147,19 @@ def test_faults_of_devices(config: Config, probes: FakeProbes, code: int, cause:
     [
         (PortConfig(port=BY_ID), FakeProbes({BY_ID: Node("device")}), [f"{BY_ID} is there"]),
         (BusConfig(), FakeProbes({"/dev/i2c-1": Node("device")}), ["/dev/i2c-1 is there"]),
+        (BusConfig(bus="unix:/run/chip"), FakeProbes({"/run/chip": Node("socket")}), ["/run/chip is there"]),
         (BusConfig(bus="/run/chip"), FakeProbes({"/run/chip": Node("socket")}), ["/run/chip is there"]),
         (CameraConfig(), FakeProbes({"/dev/video0": Node("device", writable=False)}), ["/dev/video0 is there"]),
         (CameraConfig(source="f"), FakeProbes({"f": Node("folder", pictures=2)}), ["f is there, 2 pictures"]),
         (CameraConfig(source="http://cam/"), FakeProbes(network={("cam", 80): ""}), ["cam:80 answers"]),
         (ModelConfig(), FakeProbes(), ["names nothing that could be looked at without opening it"]),
-        (ModelConfig(model="a"), FakeProbes({"a": Node("file", writable=False)}), ["a is there"]),
+        (ModelConfig(model="a"), FakeProbes({"a": Node("file", writable=False, head=b"onnx")}), ["a is there"]),
+        (PortConfig(port="/dev/ttyU*"), FakeProbes({PORT: Node("device")}), [f"{PORT} is there"]),
+        (
+            PortConfig(port=BY_ID),
+            FakeProbes({BY_ID: Node("device")}, adapters={BY_ID: Adapter("0403", "6001", latency_ms=1)}),
+            [f"{BY_ID} is there"],
+        ),
     ],
 )
 def test_a_healthy_device_raises_no_alarm(config: Config, probes: FakeProbes, causes: list[str]) -> None:
@@ -238,6 +173,43 @@ def test_a_port_that_may_change_its_name_gets_a_note() -> None:
     assert exit_code(findings) == 0
     assert findings[1].level == "note"
     assert findings[1].mend == f"write port: {BY_ID}"
+
+
+def test_an_adapter_that_holds_bytes_back() -> None:
+    probes = FakeProbes({BY_ID: Node("device")}, adapters={BY_ID: Adapter("0403", "6001", latency_ms=16)})
+    doubt = check_device(part(PortConfig(port=BY_ID)), probes)[1]
+    assert (doubt.level, doubt.code, doubt.fault) == ("warning", 0, "slow adapter")
+    assert doubt.cause == f"{BY_ID} holds bytes back for 16 ms"
+    assert "robotd udev" in doubt.mend
+
+
+def test_a_camera_that_somebody_holds_may_still_work() -> None:
+    probes = FakeProbes({"/dev/video0": Node("device", holders=(Holder(7, "cheese"),))})
+    (doubt,) = check_device(part(CameraConfig()), probes)
+    assert (doubt.level, doubt.code, doubt.cause) == ("warning", 0, "/dev/video0 is in use by cheese (7)")
+
+
+@pytest.mark.parametrize(
+    ("configs", "probes", "faults"),
+    [
+        ([PortConfig(), PortConfig(port="/dev/ttyUSB1")], FakeProbes(), []),
+        ([PortConfig(), PortConfig()], FakeProbes(), [("one port twice", 78)]),
+        ([PortConfig(), PortConfig(port=BY_ID)], FakeProbes(links={BY_ID: PORT}), [("one port twice", 78)]),
+        ([BusConfig(), BusConfig(address=0x41)], FakeProbes(), []),
+        ([BusConfig(), BusConfig(bus=7)], FakeProbes(), []),
+        ([BusConfig(), BusConfig(bus="/dev/i2c-1")], FakeProbes(), [("one address twice", 78)]),
+        (
+            [PortConfig()],
+            FakeProbes(programs=frozenset({"ModemManager", "brltty", "vi"})),
+            [("modem manager", 0), ("braille display", 0)],
+        ),
+        ([PortConfig(port="/dev/ttyAMA0")], FakeProbes(programs=frozenset({"ModemManager"})), []),
+        ([BusConfig()], FakeProbes(programs=frozenset({"brltty"})), []),
+    ],
+)
+def test_faults_between_devices(configs: list[Config], probes: FakeProbes, faults: list[tuple[str, int]]) -> None:
+    parts = [part(config, f"device{i}") for i, config in enumerate(configs)]
+    assert [(finding.fault, finding.code) for finding in check_together(parts, probes)] == faults
 
 
 @pytest.mark.parametrize(
@@ -254,80 +226,6 @@ def test_a_port_that_may_change_its_name_gets_a_note() -> None:
 )
 def test_needs(config: Config, found: list[Need]) -> None:
     assert needs(config) == found
-
-
-# ---------------------------------------------------------------------------------------- the machine
-
-
-@pytest.mark.parametrize(
-    ("version", "level", "code"),
-    [
-        ((3, 10, 14), "error", 69),
-        ((3, 11, 0), "good", 0),
-        ((3, 13, 5), "good", 0),
-        ((3, 14, 0), "warning", 0),
-        ((4, 0, 0), "warning", 0),
-    ],
-)
-def test_python(version: tuple[int, int, int], level: str, code: int) -> None:
-    finding = check_python(version)
-    assert (finding.level, finding.code) == (level, code)
-
-
-@pytest.mark.parametrize(
-    ("required", "have", "code", "words"),
-    [
-        ([], {}, 0, "all 0 are installed"),
-        (["numpy>=2.0"], {"numpy": "2.1"}, 0, "all 1 are installed"),
-        (["numpy>=2.0"], {}, 69, "numpy is not installed -> pip install 'numpy>=2.0'"),
-        (["numpy>=2.0"], {"numpy": "1.26.4"}, 69, "numpy 1.26.4 is installed, >=2.0 is needed"),
-        (["aiomqtt<3,>=2.3"], {"aiomqtt": "3.0"}, 69, "aiomqtt 3.0 is installed, <3,>=2.3 is needed"),
-        (['numpy[x] (>=2.0); python_version > "3"'], {"numpy": "2.0"}, 0, "all 1"),
-        ([], {"opencv-python": "4.10"}, 0, "opencv-python stands beside opencv-python-headless"),
-        ([], {"serial": "0.0.97"}, 0, "pip uninstall -y serial pyserial && pip install pyserial"),
-    ],
-)
-def test_packages(required: list[str], have: dict[str, str], code: int, words: str) -> None:
-    findings = check_packages(required, have)
-    assert exit_code(findings) == code
-    assert words in " ".join(f"{finding.cause} -> {finding.mend}" for finding in findings)
-
-
-@pytest.mark.parametrize(
-    ("version", "wanted", "holds"),
-    [
-        ("2.0", ">=2.0", True),
-        ("2", ">=2.0.0", True),
-        ("1.9.9", ">=2", False),
-        ("2.3.1", ">=2.3,<3", True),
-        ("3.0rc1", ">=2.3,<3", False),
-        ("1.0", "==1.0.0", True),
-        ("1.0", "!=1", False),
-        ("1.0", ">1", False),
-        ("1.0.1", ">1", True),
-        ("1.0", "<=1", True),
-        ("1.0", "~=9.0", True),
-        ("1.0", "", True),
-    ],
-)
-def test_satisfies(version: str, wanted: str, holds: bool) -> None:
-    assert satisfies(version, wanted) is holds
-
-
-@pytest.mark.parametrize(
-    ("error", "code", "mend"),
-    [
-        (None, 0, ""),
-        (ModuleNotFoundError("No module named 'cv2'", name="cv2"), 69, "pip install cv2"),
-        (ModuleNotFoundError("No module named 'serialx'", name="serialx.core"), 69, "pip install 'robotd[serialx]'"),
-        (AttributeError("no class Ld19"), 69, "`robotd plugins` says which one it is"),
-        (SyntaxError(), 69, "install its distribution again"),
-    ],
-)
-def test_plugins(error: Exception | None, code: int, mend: str) -> None:
-    findings = check_plugins([("robotd.devices", "ld19", error)])
-    assert exit_code(findings) == code
-    assert mend in findings[0].mend
 
 
 # ------------------------------------------------------------------------------------------ the whole
@@ -378,114 +276,3 @@ def test_report() -> None:
         "1 error, 0 warnings",
     ]
     assert report(findings[:1])[-1] == "nothing stands in the way"
-
-
-# --------------------------------------------------------------------------------------- real probes
-
-
-def test_this_machine_has_what_robotd_requires() -> None:
-    probes = SystemProbes()
-    requirements = probes.requirements()
-    assert any(line.startswith("numpy") for line in requirements)
-    assert not any("hypothesis" in line for line in requirements)
-    assert probes.versions(["numpy", "no-such-distribution"]).keys() == {"numpy"}
-
-
-@pytest.mark.parametrize("make", ["absent", "file", "folder", "socket", "device"])
-def test_kinds_of_nodes(make: str, tmp_path: Path) -> None:
-    path = tmp_path / "node"
-    name = str(path)
-    line: socket.socket | None = None
-    match make:
-        case "file":
-            path.touch()
-        case "folder":
-            path.mkdir()
-            (path / "a.JPG").touch()
-            (path / "notes.txt").touch()
-        case "socket":
-            line = socket.socket(socket.AF_UNIX)
-            line.bind(name)
-        case "device":
-            name = "/dev/null"
-    node = SystemProbes().node(name)
-    if line is not None:
-        line.close()
-    assert node.kind == make
-    assert node.pictures == (1 if make == "folder" else 0)
-
-
-@pytest.mark.skipif(not Path("/proc/locks").exists(), reason="needs Linux's /proc")
-def test_a_port_in_use_names_its_holder() -> None:
-    ours, theirs = pty.openpty()
-    name = os.ttyname(theirs)
-    code = (
-        "import fcntl, os, sys\n"
-        "port = os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY)\n"
-        "fcntl.flock(port, fcntl.LOCK_EX)\n"
-        "print('held', flush=True)\n"
-        "sys.stdin.read()"
-    )
-    with subprocess.Popen(
-        [sys.executable, "-c", code, name], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    ) as other:
-        assert other.stdout is not None
-        assert other.stdout.readline() == "held\n"
-        assert SystemProbes().node(name).holders[0].pid == other.pid
-    assert SystemProbes().node(name).holders == ()
-    os.close(ours)
-    os.close(theirs)
-
-
-def test_holders_are_read_from_locks_and_descriptors(tmp_path: Path) -> None:
-    node = tmp_path / "node"
-    node.touch()
-    status = os.stat(node)
-    where = f"{os.major(status.st_dev):02x}:{os.minor(status.st_dev):02x}:{status.st_ino}"
-    (tmp_path / "locks").write_text(
-        f"1: FLOCK  ADVISORY  WRITE 41 {where} 0 EOF\n2: -> FLOCK ADVISORY WRITE 42 {where} 0 EOF\n"
-        f"3: FLOCK  ADVISORY  WRITE 43 00:00:1 0 EOF\n4: OFDLCK ADVISORY WRITE -1 {where} 0 EOF\nbroken\n"
-    )
-    for pid, opened in ((44, node), (45, tmp_path / "other")):
-        (tmp_path / str(pid) / "fd").mkdir(parents=True)
-        (tmp_path / str(pid) / "fd" / "3").symlink_to(opened)
-    (tmp_path / "44" / "comm").write_text("minicom\n")
-    holders = SystemProbes(proc=tmp_path).holders(str(node), status)
-    assert holders == (Holder(41, ""), Holder(44, "minicom"))
-
-
-def test_candidates_name_each_device_once_and_lastingly(tmp_path: Path) -> None:
-    (tmp_path / "serial" / "by-id").mkdir(parents=True)
-    for name in ("ttyUSB0", "ttyUSB1", "video0"):
-        (tmp_path / name).touch()
-    link = tmp_path / "serial" / "by-id" / "usb-lidar"
-    link.symlink_to(tmp_path / "ttyUSB0")
-    probes = SystemProbes(dev=tmp_path)
-    assert probes.candidates("serial port") == [str(link), str(tmp_path / "ttyUSB1")]
-    assert probes.candidates("camera") == [str(tmp_path / "video0")]
-    assert probes.candidates("file") == []
-    assert probes.lasting_name(str(tmp_path / "ttyUSB0")) == str(link)
-    assert probes.lasting_name(str(tmp_path / "ttyUSB1")) == ""
-
-
-def test_reachable() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        port = server.getsockname()[1]
-        assert SystemProbes().reachable("127.0.0.1", port) == ""
-    assert SystemProbes().reachable("127.0.0.1", port) != ""
-
-
-def test_account() -> None:
-    account = SystemProbes().account()
-    assert account.user
-    assert account.groups
-
-
-def test_load_error() -> None:
-    class Heavy(Sensor[NoConfig, LidarScan]):
-        @classmethod
-        def load(cls, config: Any) -> None:
-            raise ModuleNotFoundError("No module named 'x'", name="x")
-
-    assert isinstance(SystemProbes().load_error(DevicePart("lidar", Heavy, NoConfig())), ModuleNotFoundError)
-    assert SystemProbes().load_error(part(PortConfig())) is None

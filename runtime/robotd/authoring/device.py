@@ -12,7 +12,9 @@ from __future__ import annotations
 
 import types
 import typing
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any, ClassVar, Generic, Literal, Protocol, TypeAlias
 
 from typing_extensions import TypeVar
@@ -93,6 +95,9 @@ class Device(Generic[ConfigT]):
     config_type: ClassVar[type[Config]] = NoConfig
     emits: ClassVar[tuple[type[Message], ...]] = ()
     """The message types that this device publishes; each on its default topic unless the config says `as:`."""
+
+    mends: ClassVar[Mapping[str, str]] = MappingProxyType({})
+    """Names of faults that it counts, to what mends them: what `robotd doctor --probe` then says."""
 
     sim_twin: ClassVar[str | None] = None
     """Entry-point name of the simulated device that `--sim` puts in its place."""

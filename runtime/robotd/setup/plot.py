@@ -15,6 +15,7 @@ from robotd.engine.core import Core
 from robotd.engine.parts import Parts
 from robotd.engine.record_reader import Recording
 from robotd.engine.replay import Player, turns
+from robotd.setup.exit_codes import MissingExtra
 from robotd.setup.recording import recorded_parts
 from robotd.setup.registry import Registry
 from robotd.world.kinematics import Ackermann, steer_to_drive
@@ -27,10 +28,6 @@ _LISTEN_NS = 1 << 62
 _LETTER = 0.009
 """Width of a letter in the states, as a share of the whole time."""
 _MODE_COLOURS = {"auto": "#4c9f70", "manual": "#3b7dd8", "paused": "#d8a03b", "disarmed": "#b0b0b0", "estop": "#d0413c"}
-
-
-class MissingExtra(Exception):
-    """What draws is not installed; the message says how to get it."""
 
 
 @dataclass(slots=True)

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import getpass
+import glob
 import os
+import re
+import shutil
 import socket
 import stat
 import sys
@@ -12,10 +15,11 @@ from importlib import metadata
 from pathlib import Path
 
 from robotd.engine.parts import DevicePart, Parts
-from robotd.setup.doctor import PICTURES, Account, Holder, Kind, NeedKind, Node
+from robotd.setup.doctor.facts import HEAD_BYTES, PICTURES, Account, Adapter, Health, Holder, Kind, NeedKind, Node
 
 GROUPS = ("robotd.behaviours", "robotd.perception", "robotd.devices", "robotd.bridges")
 CONNECT_LIMIT_S = 2.0
+HOT_C = 85.0
 _PATTERNS: Mapping[NeedKind, tuple[str, ...]] = {
     "serial port": ("serial/by-id/*", "ttyUSB*", "ttyACM*", "ttyAMA*", "ttyTHS*", "serial[0-9]*"),
     "I2C bus": ("i2c-[0-9]*",),
@@ -26,9 +30,13 @@ _PATTERNS: Mapping[NeedKind, tuple[str, ...]] = {
 class SystemProbes:
     """The machine that this runs on."""
 
-    def __init__(self, dev: Path = Path("/dev"), proc: Path = Path("/proc")) -> None:
+    def __init__(
+        self, dev: Path = Path("/dev"), proc: Path = Path("/proc"), sys_folder: Path = Path("/sys"), here: str = "."
+    ) -> None:
         self._dev = dev
         self._proc = proc
+        self._sys = sys_folder
+        self._here = here
 
     def python(self) -> tuple[int, int, int]:
         return sys.version_info[:3]
@@ -68,6 +76,21 @@ class SystemProbes:
             return error
         return None
 
+    def health(self) -> Health:
+        weak_now, weak_before, slowed = _throttled(self._sys)
+        for folder in self._sys.glob("class/hwmon/hwmon*"):
+            if _read(folder / "name") == "rpi_volt":
+                weak_now = weak_now or _read(folder / "in0_lcrit_alarm") == "1"
+        zones = [
+            int(text) for zone in self._sys.glob("class/thermal/thermal_zone*") if (text := _number(zone / "temp"))
+        ]
+        celsius = max(zones, default=0) / 1000.0
+        try:
+            free_mb: int | None = shutil.disk_usage(self._here).free // 1_000_000
+        except OSError:
+            free_mb = None
+        return Health(weak_now, weak_before, celsius if slowed or celsius > HOT_C else None, free_mb)
+
     def node(self, path: str) -> Node:
         try:
             status = os.stat(path)
@@ -86,6 +109,7 @@ class SystemProbes:
             group=_group_name(status.st_gid),
             holders=self.holders(path, status) if kind == "device" else (),
             pictures=pictures,
+            head=_head(path) if kind == "file" else None,
         )
 
     def holders(self, path: str, status: os.stat_result) -> tuple[Holder, ...]:
@@ -138,12 +162,76 @@ class SystemProbes:
         links = sorted((self._dev / "serial" / "by-id").glob("*"))
         return next((str(link) for link in links if os.path.realpath(link) == real), "")
 
+    def fitting(self, pattern: str) -> Sequence[str]:
+        return sorted(glob.glob(pattern))
+
+    def real_path(self, path: str) -> str:
+        return os.path.realpath(path)
+
+    def adapter(self, path: str) -> Adapter | None:
+        tty = self._sys / "class" / "tty" / os.path.basename(os.path.realpath(path)) / "device"
+        # the port, the USB interface, the USB device: the ids stand at the last, some steps up
+        for folder in (tty.resolve(), *tty.resolve().parents):
+            if (folder / "idVendor").exists():
+                driver = os.path.basename(os.path.realpath(tty / "driver")) if (tty / "driver").exists() else ""
+                latency = _number(tty / "latency_timer")
+                return Adapter(
+                    _read(folder / "idVendor"),
+                    _read(folder / "idProduct"),
+                    _read(folder / "serial"),
+                    driver,
+                    int(latency) if latency else None,
+                )
+        return None
+
+    def consoles(self) -> Sequence[str]:
+        words = _read(self._proc / "cmdline").split()
+        names = [word.removeprefix("console=").partition(",")[0] for word in words if word.startswith("console=")]
+        return [os.path.basename(os.path.realpath(self._dev / name)) for name in names]
+
+    def running(self, names: Iterable[str]) -> frozenset[str]:
+        wanted = set(names)
+        # the kernel keeps 15 letters of a name
+        return frozenset(wanted & {_read(folder / "comm") for folder in self._proc.glob("[0-9]*")})
+
     def reachable(self, host: str, port: int) -> str:
         try:
             socket.create_connection((host, port), timeout=CONNECT_LIMIT_S).close()
         except OSError as error:
             return error.strerror or str(error)
         return ""
+
+
+def _throttled(sys_folder: Path) -> tuple[bool, bool, bool]:
+    """What a Raspberry Pi's firmware says: weak supply now, weak since the start, slowed down by heat now.
+
+    Bits of `vcgencmd get_throttled` (Raspberry Pi documentation, os/utilities): 0 under-voltage, 2 throttled, 3 soft
+    temperature limit, 16 under-voltage has occurred.
+    """
+    text = _read(sys_folder / "devices" / "platform" / "soc" / "soc:firmware" / "get_throttled")
+    bits = int(text, 16) if re.fullmatch(r"(0x)?[0-9a-fA-F]+", text) else 0
+    return bool(bits & 1), bool(bits & 1 << 16), bool(bits & 0b1100)
+
+
+def _read(path: Path) -> str:
+    """The text of a small file, or empty where it cannot be read."""
+    try:
+        return path.read_text(errors="replace").strip()
+    except OSError:
+        return ""
+
+
+def _number(path: Path) -> str:
+    text = _read(path)
+    return text if text.isdigit() else ""
+
+
+def _head(path: str) -> bytes | None:
+    try:
+        with open(path, "rb") as file:
+            return file.read(HEAD_BYTES)
+    except OSError:
+        return None
 
 
 def _import_error(point: metadata.EntryPoint) -> Exception | None:
