@@ -167,7 +167,7 @@ def measure_staleness(ctx: Context) -> None:
     Slow.compute_ns.clear()
 
     def applied() -> None:
-        winner = runtime.core.verdict.winner
+        winner = runtime.core.way_down.verdict.winner
         if winner is not None and (not ages or ages[-1][0] != winner.oldest_ns):
             ages.append((winner.oldest_ns, time.monotonic_ns() - winner.oldest_ns))
 

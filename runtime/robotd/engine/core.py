@@ -18,17 +18,17 @@ import logging
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 from robotd.authoring.behaviour import Behaviour, Done, Failed, StepResult
 from robotd.authoring.perceptor import Perceptor
-from robotd.authoring.view import View
 from robotd.engine.bus import Slot
-from robotd.engine.graph import Graph, base_of, device_topics
+from robotd.engine.contracts import Base, Journal, Offloader, Timers
+from robotd.engine.graph import Graph, device_topics, needed_devices
 from robotd.engine.nodes import BehaviourNode, Node, PerceptorNode
 from robotd.engine.parts import Parts
-from robotd.safety.arbiter import Proposal, Verdict, arbitrate
-from robotd.safety.guard import Guard, Guarded, Sensed
+from robotd.engine.way_down import WayDown
+from robotd.safety.arbiter import Proposal
 from robotd.safety.operator import (
     Answer,
     Arm,
@@ -42,16 +42,11 @@ from robotd.safety.operator import (
     ended,
 )
 from robotd.world.clock import ns
-from robotd.world.kinematics import Ackermann, steer_to_drive
 from robotd.world.messages import (
-    STOP,
     ActiveGoal,
-    Applied,
-    Command,
     Drive,
     EStopped,
     Event,
-    LidarScan,
     Message,
     Mode,
     ModeChange,
@@ -63,50 +58,6 @@ from robotd.world.topics import default_topic
 log = logging.getLogger("robotd")
 
 EXPLAIN_PERIOD_NS = 100_000_000
-HALT_EVERY_TICKS = 10
-"""While nothing drives, the stop is written again every so many ticks, in case the first was lost on the way."""
-
-
-class Base(Protocol):
-    """The one actuator, as the turn sees it."""
-
-    def apply(self, command: Any) -> None: ...
-    def halt(self) -> None: ...
-
-
-class _Halted:
-    """A base on the way out: it takes no command any more, however long the loop still turns."""
-
-    def __init__(self, base: Base) -> None:
-        self._base = base
-
-    def apply(self, command: object) -> None:
-        pass
-
-    def halt(self) -> None:
-        self._base.halt()
-
-
-class Journal(Protocol):
-    """Who writes down every input of every turn; `ref` names the topic, node or device.
-
-    An input is noted before anything that follows from it: what a frame perceptor made (`perceived`) and what was
-    written to the base (`command`) are noted inside the turn, between its input and the next.
-    """
-
-    def note(self, kind: str, ref: str, now_ns: int, payload: object) -> None: ...
-
-
-class Timers(Protocol):
-    """What calls the core back later; in replay nothing does, the recording says when."""
-
-    def call_at_ns(self, when_ns: int, callback: Callable[..., object], *args: object) -> object: ...
-
-
-class Offloader(Protocol):
-    """Runs a slow perceptor's step elsewhere and answers through `Core.offloaded`."""
-
-    def submit(self, node: PerceptorNode, view: View, oldest_ns: int, now_ns: int) -> None: ...
 
 
 class Core:
@@ -125,43 +76,25 @@ class Core:
     ) -> None:
         self.parts = parts
         self.graph = graph
-        self.guard = Guard(parts.robot, parts.guard)
         self.operator = OperatorState()
-        self.command: Command = STOP
-        self.limited_by: tuple[str, ...] = ()
-        self.verdict = Verdict(None, (), self.operator.reason)
+        self.way_down = WayDown(parts, graph, base, journal, self.operator.reason, now_ns)
         self.turns = 0
         self.explain_until_ns = 0
         self.on_event: list[Callable[[Event], None]] = []
         self.on_armed: list[Callable[[], None]] = []
-        self._base = base
         self._timers = timers
         self._offloader = offloader
         self._journal = journal
         self._slots = graph.slots
         self._behaviours = {node.name: node for node in graph.behaviours}
-        self._guard_slots = tuple(graph.slots[name] for name in self.guard.sources)
-        self._sensed: list[Sensed | None] = [None] * len(self._guard_slots)
-        self._sensed_sequence = [-1] * len(self._guard_slots)
-        self._scan_within_ns = ns(parts.guard.scan_within_s)
-        self._wheelbase_m = (
-            parts.robot.kinematics.wheelbase_m if isinstance(parts.robot.kinematics, Ackermann) else None
-        )
-        base_part = base_of(parts)
-        self._base_takes: type = getattr(base_part.cls, "accepts", Drive) if base_part is not None else Drive
         self._manual: Proposal | None = None
-        self._driving = True  # so that the first turn writes a stop
-        self._written_ns = now_ns
-        self._settled: tuple[str, Command, list[int]] | None = None
-        self._guard_reason = ""
         self._standing = ""
-        self._ticks_halted = 0
         self._open: dict[str, bool] = {part.name: False for part in parts.devices}
         self._device_slots = {
             part.name: tuple(graph.slots[topic.name] for topic in device_topics(part).values())
             for part in parts.devices
         }
-        self.needed_devices = _needed_devices(parts, graph)
+        self.needed_devices = needed_devices(parts, graph)
         self._expiries_armed: set[tuple[int, int]] = set()
         self._acting = False
         self._late: deque[Callable[[], object]] = deque()
@@ -173,7 +106,6 @@ class Core:
             )
             for node in graph.nodes
         }
-        self._applied = graph.slots["applied"]
         if journal is not None:
             journal.note("started", "", now_ns, None)
         self._publish_state(ModeChange(now_ns, self.operator.mode, self.operator.reason))
@@ -241,7 +173,7 @@ class Core:
             return ""
         if self._journal is not None:
             self._journal.note("request", type(request).__name__, now_ns, request)
-        if isinstance(request, Teleop) and self._base_takes is Steer and isinstance(request.drive, Drive):
+        if isinstance(request, Teleop) and self.way_down.takes is Steer and isinstance(request.drive, Drive):
             return "this base is a car: drive it by hand with Steer, a Drive cannot be converted"
         answer = decide(self.operator, request, self._facts(), now_ns)
         if answer.refused:
@@ -288,10 +220,8 @@ class Core:
 
     def halt(self) -> None:
         """The way out: stop the base, whatever state the rest is in. From here on nothing drives or is written down."""
-        if not isinstance(self._base, _Halted):
-            self._base = _Halted(self._base)
-            self._journal = None
-        self._base.halt()
+        self._journal = None
+        self.way_down.halt()
 
     # ------------------------------------------------------------------------------------- questions
 
@@ -307,16 +237,15 @@ class Core:
     @property
     def standing_reason(self) -> str:
         """Why the robot stands still, in words; empty while it moves."""
-        command = self.command
-        moving = command != STOP and not (isinstance(command, Steer) and command.speed_mps == 0.0)
-        if moving:
+        way_down, verdict = self.way_down, self.way_down.verdict
+        if way_down.moves:
             return ""
-        if self._guard_reason:
-            return self._guard_reason
-        if self.verdict.winner is not None:
-            return f"{self.verdict.winner.by} asks to stand still"
-        if self.operator.mode is not Mode.AUTO or self.verdict.losers:
-            return self.verdict.reason
+        if way_down.guard_reason:
+            return way_down.guard_reason
+        if verdict.winner is not None:
+            return f"{verdict.winner.by} asks to stand still"
+        if self.operator.mode is not Mode.AUTO or verdict.losers:
+            return verdict.reason
         waiting = [
             f"{n.name} waits for {n.lookout.missing[0]} ({n.lookout.missing[1]})"
             for n in self.graph.behaviours
@@ -324,7 +253,7 @@ class Core:
         ]
         over = [f"{n.name} {n.outcome}" for n in self.graph.behaviours if n.outcome and n.instance is None]
         benched = [f"{n.name} is benched: {n.benched}" for n in self.graph.behaviours if n.benched]
-        return "; ".join(waiting or benched or over) or self.verdict.reason
+        return "; ".join(waiting or benched or over) or verdict.reason
 
     @property
     def stepping(self) -> bool:
@@ -502,77 +431,8 @@ class Core:
     def _decide(self, now_ns: int, *, tick: bool) -> None:
         self.turns += 1
         proposals = [node.proposal for node in self.graph.behaviours if node.proposal is not None]
-        operator = self.operator
-        verdict = arbitrate(proposals, self._manual, operator.mode, operator.reason, now_ns)
-        self.verdict = verdict
-        winner = verdict.winner
-        if winner is None:
-            self._settled = None
-            self._guard_reason = ""
-            if self._driving:
-                self._driving = False
-                self._ticks_halted = 0
-                self._write(None, "", (), now_ns)
-                self._say_standing()
-            elif tick:
-                self._ticks_halted += 1
-                if self._ticks_halted % HALT_EVERY_TICKS == 0:
-                    self._base.halt()
-            return
-        sequences = [slot.sequence for slot in self._guard_slots]
-        stale = self._stale_source(now_ns)
-        settled = (winner.by, winner.command, sequences)
-        if settled == self._settled and not stale:
-            if tick:  # nothing changed: the heartbeat repeats what was decided
-                self._base.apply(self.command)
-                self._written_ns = now_ns
-            return
-        guarded = self._guarded(winner, stale, now_ns)
-        # a ramp goes on by itself; anything else stays until the wish or a scan changes
-        self._settled = settled if "acceleration" not in guarded.limited_by else None
-        self._driving = True
-        self._write(guarded.command, winner.by, guarded.limited_by, now_ns)
-        if guarded.reason != self._guard_reason:
-            self._guard_reason = guarded.reason
+        if self.way_down.decide(proposals, self._manual, self.operator, now_ns, tick=tick):
             self._say_standing()
-
-    def _stale_source(self, now_ns: int) -> str:
-        for slot in self._guard_slots:
-            if slot.message is None or now_ns - slot.oldest_ns > self._scan_within_ns:
-                return slot.topic.name
-        return ""
-
-    def _guarded(self, winner: Proposal, stale: str, now_ns: int) -> Guarded:
-        command = winner.command
-        if self._base_takes is Drive and isinstance(command, Steer):
-            command = steer_to_drive(command, self._wheelbase_m or 1.0)
-        sensed: list[Sensed] = []
-        if not stale:
-            for i, slot in enumerate(self._guard_slots):
-                known = self._sensed[i]
-                if known is None or self._sensed_sequence[i] != slot.sequence:
-                    scan = slot.message
-                    assert isinstance(scan, LidarScan)
-                    known = self.guard.sense(slot.topic.name, scan)
-                    self._sensed[i] = known
-                    self._sensed_sequence[i] = slot.sequence
-                sensed.append(known)
-        dt_s = (now_ns - self._written_ns) / 1e9
-        return self.guard.limit(command, by=winner.by, previous=self.command, dt_s=dt_s, sensed=sensed, stale=stale)
-
-    def _write(self, command: Command | None, by: str, limited_by: tuple[str, ...], now_ns: int) -> None:
-        if command is None:
-            self._base.halt()
-            command = STOP
-        else:
-            self._base.apply(command)
-        self.command = command
-        self.limited_by = limited_by
-        self._written_ns = now_ns
-        applied = Applied(now_ns, command, by, limited_by)
-        if self._journal is not None:
-            self._journal.note("command", by, now_ns, applied)
-        self._applied.put(applied, now_ns)
 
     def _say_standing(self) -> None:
         reason = self.standing_reason
@@ -633,22 +493,3 @@ def _declared(node: PerceptorNode, result: Any) -> Message | str | None:
     if result is None or isinstance(result, declared):
         return result
     return f"step returned {type(result).__name__}, not {declared.__name__}"
-
-
-def _needed_devices(parts: Parts, graph: Graph) -> frozenset[str]:
-    """Devices without which the robot does not drive: the base, the guard's sources, what a behaviour cannot miss."""
-    wanted = set(Guard(parts.robot, parts.guard).sources)
-    nodes: list[Node] = list(graph.behaviours)
-    made_by = {node.output.topic.name: node for node in graph.perceptors}
-    while nodes:
-        for spec in nodes.pop().lookout.view_type.specs:
-            name = spec.topic.name
-            if spec.wake.value != "latest" and name not in wanted:
-                wanted.add(name)
-                if name in made_by:
-                    nodes.append(made_by[name])
-    needed = {
-        part.name for part in parts.devices if any(topic.name in wanted for topic in device_topics(part).values())
-    }
-    base = base_of(parts)
-    return frozenset(needed | ({base.name} if base is not None else set()))

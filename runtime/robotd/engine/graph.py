@@ -344,3 +344,22 @@ def _guard_problems(parts: Parts, producers: dict[str, tuple[str, Topic[Message]
         if name not in known:
             found.append(GraphProblem("guard.contact.behaviours", f"there is no behaviour {name!r}"))
     return found
+
+
+def needed_devices(parts: Parts, graph: Graph) -> frozenset[str]:
+    """Devices without which the robot does not drive: the base, the guard's sources, what a behaviour cannot miss."""
+    wanted = set(_guard_sources(parts))
+    nodes: list[Node] = list(graph.behaviours)
+    made_by = {node.output.topic.name: node for node in graph.perceptors}
+    while nodes:
+        for spec in nodes.pop().lookout.view_type.specs:
+            name = spec.topic.name
+            if spec.wake is not Wake.LATEST and name not in wanted:
+                wanted.add(name)
+                if name in made_by:
+                    nodes.append(made_by[name])
+    needed = {
+        part.name for part in parts.devices if any(topic.name in wanted for topic in device_topics(part).values())
+    }
+    base = base_of(parts)
+    return frozenset(needed | ({base.name} if base is not None else set()))

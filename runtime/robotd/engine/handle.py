@@ -107,8 +107,8 @@ class RuntimeHandle:
     def snapshot(self) -> Status:
         """Everything a person asks about, at this instant."""
         core, now_ns = self._core, self.clock.now_ns()
-        losers = {loser.by: f"{loser.loss.value} {loser.detail}".strip() for loser in core.verdict.losers}
-        winner = core.verdict.winner
+        losers = {loser.by: f"{loser.loss.value} {loser.detail}".strip() for loser in core.way_down.verdict.losers}
+        winner = core.way_down.verdict.winner
         behaviours = tuple(
             BehaviourStatus(
                 name=node.name,
@@ -140,9 +140,9 @@ class RuntimeHandle:
             streams=streams,
             devices=tuple(DeviceStatus(kept.name, kept.state, kept.detail) for kept in self._runtime.devices)
             + self._guardian(),
-            command=core.command,
+            command=core.way_down.command,
             by=winner.by if winner is not None else "",
-            limited_by=core.limited_by,
+            limited_by=core.way_down.limited_by,
             tick_late_ms=self._runtime.tick_late_ns / 1e6,
             turns=core.turns,
             virtual=self._runtime.virtual,

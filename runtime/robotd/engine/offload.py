@@ -7,7 +7,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 from robotd.authoring.view import View
-from robotd.engine.core import Timers
+from robotd.engine.contracts import Timers
 from robotd.engine.nodes import PerceptorNode
 from robotd.world.clock import ns
 from robotd.world.messages import Message

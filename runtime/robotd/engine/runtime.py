@@ -21,7 +21,8 @@ from typing import Any
 from robotd.authoring.bridge import Bridge
 from robotd.authoring.device import Actuator, DeviceContext, World
 from robotd.engine.armed_mark import ArmedMark
-from robotd.engine.core import Base, Core, Journal
+from robotd.engine.contracts import Base, Journal
+from robotd.engine.core import Core
 from robotd.engine.devices import KeptDevice
 from robotd.engine.graph import base_of, compile_graph
 from robotd.engine.guarding import GUARDIAN, Guarding
