@@ -61,6 +61,7 @@ class Control(Bridge[ControlConfig]):
     """Obeys words, one a packet, and answers with one object of JSON: the time before, what follows, or a refusal."""
 
     async def run(self, runtime: RuntimeLink) -> None:
+        handle: Any = runtime
         loop = asyncio.get_running_loop()
         line = socket.socket(fileno=os.dup(self.config.fd))
         with line:
@@ -72,6 +73,7 @@ class Control(Bridge[ControlConfig]):
                 if not packet:
                     loop.remove_reader(line)
                     ended.set_result(None)
+                    handle.stop_program()  # nobody is left who could stop it
                     return
                 tell = lambda **what: line.send(json.dumps(what).encode())  # noqa: E731
                 _obey(runtime, packet.decode().split(), tell)

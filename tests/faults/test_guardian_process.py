@@ -9,7 +9,6 @@ import socket
 import subprocess
 import sys
 import tempfile
-import time
 import tty
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,6 +16,7 @@ from pathlib import Path
 import pytest
 
 import robotd.safety
+from robotd.safety.guardian import clock_ns
 from robotd_devices.motor.pca9685_fake import Pca9685Fake
 from robotd_devices.ports.i2c_fake import FakeI2cBus
 from robotd_devices.ports.i2c_host import I2cHost
@@ -52,7 +52,7 @@ class Guardian:
         return self.hear()
 
     def beat(self) -> None:
-        self.line.send(b"B" + time.monotonic_ns().to_bytes(8, "big"))
+        self.line.send(b"B" + clock_ns().to_bytes(8, "big"))
 
     def end(self) -> int:
         self.line.close()

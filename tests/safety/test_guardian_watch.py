@@ -69,6 +69,8 @@ def play(
         pytest.param([beat(0), acknowledged(150)], 1000, [101, 121, 141, 150], id="acknowledged: one more"),
         pytest.param([beat(0), acknowledged(110), beat(120)], 230, [101, 110, 221], id="armed again, silent again"),
         pytest.param([beat(0), stop(50)], 1000, [50, 70, 90], id="asked to stop"),
+        pytest.param([beat(0), stop(50), beat(60)], 160, [50], id="asked to stop, then armed again"),
+        pytest.param([stop(50), beat(50)], 150, [50, 70, 90], id="asked to stop, armed before it was written"),
         pytest.param([beat(0), stop(110)], 170, [101, 121, 141, 161], id="asked to stop after a trip"),
         pytest.param([beat(0), end(30)], 1000, [30 + 20 * i for i in range(LAST_STOPS)], id="killed"),
         pytest.param([end(30)], 1000, [30 + 20 * i for i in range(LAST_STOPS)], id="killed while disarmed"),

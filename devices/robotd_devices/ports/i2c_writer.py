@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import atexit
 import contextlib
+import math
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -154,7 +155,7 @@ class I2cWriter(Generic[T]):
                     wanted, self._wanted = self._wanted, None
             if stop:
                 for write in chip.stop:
-                    self._write(bus, write)
+                    self._attempt(partial(bus.write, *write))
                 written = None
                 self._report(None)
             elif wanted is not None and self._write_all(bus, chip.plan(written, wanted)):
@@ -169,26 +170,27 @@ class I2cWriter(Generic[T]):
         for write in writes:
             if self._stop_due:
                 return False
-            if time.monotonic() > self._until_s:
+            if not self._attempt(partial(bus.write, *write), until_s=self._until_s):
                 self.stop()
                 return False
-            self._write(bus, write)
         return True
 
-    def _write(self, bus: I2cBus, write: I2cWrite) -> None:
-        self._attempt(partial(bus.write, *write))
-
-    def _attempt(self, transaction: Callable[[], None], *, quiet: bool = False) -> None:
+    def _attempt(self, transaction: Callable[[], None], *, quiet: bool = False, until_s: float = math.inf) -> bool:
+        """One transaction, again where it fails; False where it did not begin because `until_s` was over."""
         for attempt in range(RETRIES + 1):
             try:
+                # looked at as late as can be: this thread may be kept waiting anywhere
+                if time.monotonic() > until_s:
+                    return False
                 transaction()
-                return
+                return True
             except OSError as error:
                 if attempt == RETRIES:
                     raise
                 if not quiet:
                     self._tell(self._fault, "I2C retry", self._chip.explain(error))
                 time.sleep(RETRY_AFTER_S)
+        return False
 
     def _stop_at_last(self, bus: I2cBus) -> None:
         with contextlib.suppress(OSError):

@@ -28,6 +28,7 @@ import robotd.safety
 from robotd.authoring.device import I2cStop, StopLine
 from robotd.engine.loops import RealLoop
 from robotd.engine.status import DeviceState
+from robotd.safety.guardian import clock_ns
 
 log = logging.getLogger("robotd")
 
@@ -127,7 +128,7 @@ class Guarding:
 
     def beat(self, armed: bool) -> None:
         """The sign of life at the end of an act tick; after a trip it says that the robot is disarmed."""
-        now_ns = self._loop.now_ns()
+        now_ns = clock_ns()
         if self.state is State.TRIPPED and not armed:
             self.state = State.IDLE
             self._send(b"A")
@@ -141,13 +142,13 @@ class Guarding:
         if self.state is State.TRIPPED:
             self._send(b"A")
         if self.state in (State.IDLE, State.TRIPPED):
-            self._breathe(True, self._loop.now_ns())
+            self._breathe(True, clock_ns())
 
     def may_write(self) -> bool:
         """Whether a command may go to the motors; where it may not because the loop stood still, that is a trip."""
         if self.state is not State.WATCHING:
             return self.state is State.IDLE
-        now_ns = self._loop.now_ns()
+        now_ns = clock_ns()
         if self._is_alive(now_ns):
             return True
         self._trip(now_ns - self._beat_ns)
@@ -261,11 +262,12 @@ class Guarding:
     def _die(self, how: str) -> None:
         """It is dead, or as good as: stop, and start another one once the robot stands disarmed, which is now."""
         self._cancel_again()
+        if how != self.detail and not self._closing:
+            log.error("%s %s; another one is started", GUARDIAN, how)
         self.state, self.detail = State.DEAD, how
         self._let_go()
         self._ended.set()
         if not self._closing:
-            log.error("%s %s; another one is started", GUARDIAN, how)
             self._hears.guardian_lost(f"{GUARDIAN} {how}")
             self._again = self._loop.call_later(AGAIN_S, self.start)
         self._reap()

@@ -40,6 +40,8 @@ log = logging.getLogger("robotd")
 GIVE_UP_S = 3.0
 """How long a needed device may be absent at start before robotd says so and exits."""
 BRIDGE_BACKOFF_S = (0.2, 1.0, 5.0)
+SECOND_STOP_AFTER_NS = 3_000_000
+"""How long a driver may take for the stop of an e-stop until the guardian writes it as well."""
 SUSPEND_AFTER_NS = 20_000_000
 """What a driver's writer thread has for the stop before the whole process stands still."""
 
@@ -239,7 +241,11 @@ class Runtime:
 
     def _stop_by_guardian(self, event: Event) -> None:
         if self.guarding is not None and isinstance(event, EStopped):
-            self.guarding.stop_now()
+            self._stop_twice(self.guarding)
+
+    def _stop_twice(self, guarding: Guarding) -> None:
+        """Behind the driver's own stop, or a command that it is just writing would come after the guardian's."""
+        self._loop.call_at_ns(self._loop.now_ns() + SECOND_STOP_AFTER_NS, guarding.stop_now)
 
     def _halt(self) -> None:
         """A way out: the stop by the driver, and by the guardian in case the driver's line is stuck."""
@@ -252,7 +258,7 @@ class Runtime:
         if self.devices and self.core.operator.armed:  # else it is still loading
             self.core.request(Disarm("SIGTSTP", "suspended"), self._loop.now_ns())
         if self.guarding is not None:
-            self.guarding.stop_now()
+            self._stop_twice(self.guarding)
         self._loop.call_at_ns(self._loop.now_ns() + SUSPEND_AFTER_NS, os.kill, os.getpid(), signal.SIGSTOP)
 
     # ----------------------------------------------------------------------------------------- arming

@@ -48,6 +48,12 @@ _I2C_SLAVE_FORCE = 0x0706  # linux/i2c-dev.h; forced, since a stop asks nobody's
 _FAKE_REQUEST, _FAKE_ANSWER = struct.Struct(">cBBH"), struct.Struct(">HI")  # robotd_devices.ports.i2c_socket
 _FAKE_WITHIN_S = 0.05
 _MCL_CURRENT, _MCL_ONFAULT = 1, 4  # asm-generic/mman.h
+_CLOCK = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
+
+
+def clock_ns() -> int:
+    """The clock of both processes in nanoseconds; it also counts the time for which the computer was suspended."""
+    return time.clock_gettime_ns(_CLOCK)
 
 
 class Watch:
@@ -62,11 +68,15 @@ class Watch:
         self._next_ns: int | None = None
         self._left: int | None = 0
         self._end_ns: int | None = None
+        self._is_written = True
 
     def beat(self, sent_ns: int | None) -> None:
         """A sign of life: when it was sent, or None where nothing may move. After a trip only `acknowledge` counts."""
-        if not self.is_tripped:
-            self._beat_ns = sent_ns
+        if self.is_tripped:
+            return
+        self._beat_ns = sent_ns
+        if sent_ns is not None and self._is_written and self._end_ns is None:
+            self._next_ns = None  # armed again: what was asked for before is over
 
     def stop(self, now_ns: int, count: int = 3) -> None:
         """Write the stop so many times from now on, and watch no longer."""
@@ -99,8 +109,10 @@ class Watch:
 
     def wrote(self, now_ns: int, *, taken: bool) -> None:
         """The stop was written; where the line did not take it, it follows again soon and does not count."""
-        if taken and self._left is not None:
-            self._left -= 1
+        if taken:
+            self._is_written = True
+            if self._left is not None:
+                self._left -= 1
         if self._left == 0 or (self._end_ns is not None and now_ns >= self._end_ns):
             self._next_ns, self.is_over = None, self._end_ns is not None
         else:
@@ -115,7 +127,7 @@ class Watch:
         return None if self._beat_ns is None or self.is_tripped else self._beat_ns + self.deadline_ns + 1
 
     def _begin(self, now_ns: int, count: int | None) -> None:
-        self._next_ns, self._left = now_ns, count
+        self._next_ns, self._left, self._is_written = now_ns, count, False
 
 
 class Line(Protocol):
@@ -236,10 +248,10 @@ class Guardian:
         poll.register(self._runtime, select.POLLIN)
         try:
             while not self._watch.is_over:
-                if poll.poll(self._watch.wait_ms(time.monotonic_ns())) and not self._read_all():
+                if poll.poll(self._watch.wait_ms(clock_ns())) and not self._read_all():
                     poll.unregister(self._runtime)
-                    self._watch.end(time.monotonic_ns())
-                self._act(time.monotonic_ns())
+                    self._watch.end(clock_ns())
+                self._act(clock_ns())
         finally:
             self._write_stop()
 
@@ -264,7 +276,7 @@ class Guardian:
             self._take(packet, fds)
 
     def _take(self, packet: bytes, fds: list[int]) -> None:
-        now_ns = time.monotonic_ns()
+        now_ns = clock_ns()
         match packet[:1]:
             case b"B":
                 self._watch.beat(int.from_bytes(packet[1:9], "big"))
