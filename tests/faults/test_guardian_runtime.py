@@ -40,9 +40,9 @@ class HeldBase(FakeBase):
         return I2cStop("/nowhere/i2c-1", ((0x60, b"\xfd\x10"),))
 
 
-def held(parts: Parts, **more: Any) -> Parts:
+def held(parts: Parts, base: type[HeldBase] = HeldBase, **more: Any) -> Parts:
     """The same robot with a base whose line a guardian could hold."""
-    devices = tuple(DevicePart("base", HeldBase, NoConfig()) if d.name == "base" else d for d in parts.devices)
+    devices = tuple(DevicePart("base", base, NoConfig()) if d.name == "base" else d for d in parts.devices)
     return replace(parts, devices=devices, **more)
 
 
@@ -107,6 +107,24 @@ def test_a_line_that_cannot_be_held_keeps_the_robot_from_being_armed(caplog: pyt
     assert any("cannot hold the line: No such file" in record.getMessage() for record in caplog.records)
     base = runtime.devices[0].device
     assert isinstance(base, FakeBase) and {what for _, what in base.log} == {"halt"}
+
+
+def test_a_base_without_a_line_this_time_drives_and_the_log_says_so(caplog: pytest.LogCaptureFixture) -> None:
+    class Remote(HeldBase):
+        def stop_line(self) -> StopLine | None:
+            return None
+
+    parts = held(robot(behaviour(Go)), base=Remote)
+    runtime = Runtime(parts)
+
+    async def main() -> None:
+        async with asyncio.timeout(20.0):
+            await runtime.run(lambda running: running.core.on_armed.append(running.stop))
+
+    with asyncio.Runner(loop_factory=real_loop) as runner:
+        runner.run(main())
+    assert "base offers no stop line" in caplog.text
+    assert runtime.guarding is not None and runtime.guarding.process is None, "it was there, and has ended"
 
 
 @pytest.mark.parametrize("pattern", ["line", "l*e"])

@@ -39,7 +39,7 @@ UNREAD_BYTES = 8192
 """Of the socket's buffer: a guardian that leaves some twenty signs of life unread does not live."""
 AGAIN_S = 0.5
 """Until the next try, after a death or where the line could not be held."""
-END_WITHIN_S = 1.0
+START_WITHIN_S, END_WITHIN_S = 10.0, 1.0
 _PROGRAM = os.path.join(os.path.dirname(robotd.safety.__file__), "guardian.py")
 _FORK_SAFE: weakref.WeakSet[socket.socket] = weakref.WeakSet()
 
@@ -87,6 +87,7 @@ class Guarding:
         self._beat_ns = 0
         self._socket: socket.socket | None = None
         self._stop: StopLine | None = None
+        self._is_open = False
         self._again: asyncio.TimerHandle | None = None
         self._ended: asyncio.Event = asyncio.Event()
         self._closing = False
@@ -94,6 +95,7 @@ class Guarding:
     def start(self) -> None:
         """Start the process. Only while the robot is disarmed: it blocks for as long as a fork takes."""
         self._again = None
+        self._ended.clear()
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         ours.setblocking(False)
         ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, UNREAD_BYTES)
@@ -116,6 +118,7 @@ class Guarding:
         self._socket = ours
         self.state, self.detail = State.STARTING, "starts"
         self._loop.add_reader(ours.fileno(), self._readable)
+        self._again = self._loop.call_later(START_WITHIN_S, self._die, "does not start")
 
     @property
     def device_state(self) -> DeviceState:
@@ -174,9 +177,9 @@ class Guarding:
 
     # ------------------------------------------------------------------------------------------ the line
 
-    def hand_over(self, stop: StopLine) -> None:
-        """The base is open: this is its line and its stop, until `drop` or the next one."""
-        self._stop = stop
+    def hand_over(self, stop: StopLine | None) -> None:
+        """The base is open: this is its line and its stop, until `drop` or the next one. None: it has none."""
+        self._stop, self._is_open = stop, True
         if self.state is not State.DEAD:
             self.detail = "gets the line"
             self._hears.guardian_lost(f"{GUARDIAN} does not hold the line yet")
@@ -184,15 +187,19 @@ class Guarding:
 
     def drop(self) -> None:
         """The base is lost. The guardian stops it once more and lets go, or the line could not be opened anew."""
-        self._stop, self.detail = None, "holds no line"
+        self._stop, self._is_open, self.detail = None, False, "holds no line"
         if self.state is not State.STARTING:
             self._send(b"D")
 
     def _offer(self) -> None:
         """Describe the line to a guardian that is ready; a line that cannot be held is offered again later."""
+        if not self._is_open or self.state in (State.DEAD, State.STARTING):
+            return
         self._cancel_again()
         stop = self._stop
-        if stop is None or self.state in (State.DEAD, State.STARTING):
+        if stop is None:
+            self.detail = ""
+            self._hears.guardian_ready()
             return
         if isinstance(stop, I2cStop):
             self._send(b"i" + os.fsencode(stop.bus) + b"\0" + b"".join(bytes((a, len(d))) + d for a, d in stop.writes))
@@ -229,6 +236,7 @@ class Guarding:
     def _hear(self, kind: bytes, rest: bytes) -> None:
         match kind:
             case b"R":
+                self._cancel_again()
                 self.state, self.detail = State.IDLE, "holds no line"
                 assert self.process is not None
                 privileges = rest.decode() or "no privileges"

@@ -212,11 +212,9 @@ class Runtime:
     def _hand_over(self, base: KeptDevice) -> None:
         assert self.guarding is not None and isinstance(base.device, Actuator)
         stop = base.device.stop_line()
-        if stop is not None:
-            self.guarding.hand_over(stop)
-        else:
+        if stop is None:
             log.warning("the guardian holds nothing: %s offers no stop line", base.name)
-            self.guardian_ready()
+        self.guarding.hand_over(stop)
 
     def guardian_ready(self) -> None:
         """The guardian holds the motor line."""
