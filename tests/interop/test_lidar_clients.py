@@ -76,7 +76,8 @@ def test_vendor_sdk_and_our_reader_agree(tmp_path: Path, run_client: Any, model:
     degrees, metres = our_beams(fake.sent, model)
     # 1/64 degree; a quarter of a mm, and the SDK's own smoothing of ultra-dense returns
     near_deg, near_m = 1.0 / 64.0 + 0.006, 0.0003 if model != "s3" else 0.0011
-    # the first one may have begun before a seam; the last one ended with the bytes, before our reader saw the header that proves its last packet
+    # the first one may have begun before a seam; the last one ended with the bytes, before our reader saw the
+    # header that proves its last packet
     for angles_rad, ranges_m in told["scans"][1:-1]:
         theirs_deg, theirs_m = np.degrees(np.array(angles_rad)), np.array(ranges_m)
         assert len(theirs_m) > 150

@@ -100,9 +100,9 @@ class BeamSweep:
         at[0] = at[1] if self._last_at is None else self._last_at
         if at[1] - at[0] > _HALF_TURN_DEG:
             # the head is guessed behind a gap, and was guessed just over the seam
-            behind = np.flatnonzero(np.diff(at[1:]) < -_HALF_TURN_DEG)
+            behind = np.flatnonzero(at[2:] - at[1:-1] < -_HALF_TURN_DEG)
             at[1 : behind[0] + 2 if len(behind) else None] = at[0]
-        seams = np.flatnonzero(np.diff(at) < -_HALF_TURN_DEG)
+        seams = np.flatnonzero(at[1:] - at[:-1] < -_HALF_TURN_DEG)
         self._last_at = float(at[-1])
         if not len(seams):
             self._extend(beams, marks, self._beams)

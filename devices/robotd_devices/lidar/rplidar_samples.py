@@ -24,6 +24,8 @@ _LEVELS = ((3328, 1 << 14, 4), (1792, 1 << 12, 3), (1280, 1 << 11, 2), (512, 1 <
 #: From this many quarters of a mm on (a level each) ultra-dense distances are coarser: 2, 3, 4, 5 mm.
 _SCALES_MM = (0, 2046, 8187, 24567)
 _NO_RETURN = (-512, 511)
+_CABIN = np.dtype([("words", "<u2", (2,)), ("low", "u1")])
+_NIBBLES = np.array([0, 4], dtype=np.uint8)
 
 
 class Samples(NamedTuple):
@@ -61,12 +63,12 @@ def _turned(angle_q16: Ints) -> Ints:
 
 
 def _express(rows: NDArray[np.uint8], head: Ints, behind: bytes) -> Samples:
-    cabins = rows.reshape(len(rows), 16, 5).astype(np.int64)
-    words = cabins[:, :, 0:4:2] | cabins[:, :, 1:4:2] << 8
+    cabins = rows.view(_CABIN)
+    words = cabins["words"].astype(np.int64)
     # the offset's lower four bits lie in the fifth byte, its upper two beside the distance
-    low = np.stack((cabins[:, :, 4] & 0xF, cabins[:, :, 4] >> 4), axis=2)
-    offset_q3 = (low | (words & 3) << 4).reshape(head.shape)
-    return Samples(head, _turned(head - (offset_q3 << 13)), (words & 0xFFFC).reshape(head.shape), None)
+    offset_q3 = cabins["low"][:, :, None] >> _NIBBLES & 0xF | (words & 3) << 4
+    angle = _turned(head - (offset_q3.reshape(head.shape) << 13))
+    return Samples(head, angle, (words & 0xFFFC).reshape(head.shape), None)
 
 
 def _ultra(rows: NDArray[np.uint8], head: Ints, behind: bytes) -> Samples:

@@ -74,9 +74,9 @@ class CapsuleSweep:
         form, run = self._form, self._run[:count]
         if not self._gap_q6:
             return None
-        starts = np.array([capsule.start_q6 for capsule in run], dtype=np.int64)
-        gaps = np.diff(starts, append=then_q6) % TURN_Q6
-        samples = decode_samples(form, b"".join(capsule.data for capsule in run), starts, gaps, behind)
+        bounds = np.array([*(capsule.start_q6 for capsule in run), then_q6], dtype=np.int64)
+        gaps = (bounds[1:] - bounds[:-1]) % TURN_Q6
+        samples = decode_samples(form, b"".join([capsule.data for capsule in run]), bounds[:-1], gaps, behind)
         quality = samples.quality
         beams = Beams(
             samples.head_q16.ravel() / _TURN_Q16,
