@@ -231,7 +231,9 @@ FAULTS: Mapping[str, Fault] = {
     "picture black": _opening("the pictures are black", "lens cap, light, exposure, a privacy shutter"),
     "picture white": _opening_doubt("the pictures are white", "less exposure or light; no lamp into the lens"),
     "picture empty": _opening_doubt("the pictures are one even grey", "lens cap, focus, or a wrong pixel format"),
-    "stands still": _opening("{kind} repeats itself to the last bit", "the sensor hangs: unplug it, plug it in again"),
+    "stands still": _opening_doubt(
+        "{kind} repeats itself to the last bit", "good for a fake or a single picture; else it hangs: unplug it"
+    ),
     "battery low": _opening_doubt("the battery is at {charge:.0%}", "charge it before the robot drives"),
     "battery absent": _opening("{volts:.1f} V where the battery should be", "is its wire on, is the switch on?"),
     "imu mute": _opening("no axis of the IMU has a value", "its wiring and address"),
