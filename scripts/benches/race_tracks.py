@@ -209,8 +209,9 @@ def _with_grid(name: str, middle: Floats, width: Floats, resolution_m: float = 0
 
 def evans(name: str, data: Path) -> Track:
     """One of the four tracks of f1tenth_benchmarks from the folder of test data."""
-    from robotd_devices.sim.grid import read_grid
     from ruamel.yaml import YAML
+
+    from robotd_devices.sim.grid import read_grid
 
     file = data / "tracks_evans" / f"{name}.yaml"
     grid = read_grid(file, YAML(typ="safe").load(file.read_text(encoding="utf-8")))
