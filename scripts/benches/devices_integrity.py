@@ -145,7 +145,7 @@ def _two_flips(rng: random.Random) -> Callable[[list[bytes]], tuple[bytes, int]]
 def measure(ctx: Context) -> None:
     """corrupt_accepted, good_lost_per_fault, multibyte_over_theory."""
     per_kind = 4_000 if ctx.quick else 200_000
-    flips = 100_000 if ctx.quick else 1_000_000
+    flips = 50_000 if ctx.quick else 1_000_000
     for protocol in protocols():
         for kind in DAMAGES:
             key = f"{protocol.name} {kind}"
@@ -156,8 +156,7 @@ def measure(ctx: Context) -> None:
         key = f"{protocol.name} two flips"
         ctx.progress(0, None, key)
         if ctx.saved(key) is None:
-            count = flips if len(protocol.packets[0]) < 60 else flips // 4
-            found = _run(protocol, count, _two_flips(random.Random(key)))
+            found = _run(protocol, flips, _two_flips(random.Random(key)))
             share = found["corrupt"] / found["faults"] / THEORY
             ctx.row({"what": "two flips", "protocol": protocol.name, "over_theory": share, **found}, key=key)
     damaged = [row for row in ctx.rows.all if row.get("what") == "damage"]

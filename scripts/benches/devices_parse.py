@@ -22,6 +22,7 @@ from robotd_devices.lidar.rplidar_capsules import FORMATS
 from robotd_devices.lidar.rplidar_fake import RplidarFake
 from robotd_devices.lidar.rplidar_reader import RplidarReader
 from robotd_devices.lidar.rplidar_wire import SCAN, express_scan, motor_rpm, request
+from robotd_devices.ports.pty_host import PtyHost
 from robotd_devices.ports.serial_port import SerialSettings
 from robotd_devices.ports.serial_raw import RawSerialPort
 
@@ -137,6 +138,41 @@ def _theirs(module: Any, fake: RplidarFake, answer: int, mode: int, data: bytes)
     return took / count * 1e6
 
 
+_SDK_CLIENT = """
+import sys, time
+import pyrplidarsdk
+driver = pyrplidarsdk.RplidarDriver(port=sys.argv[1], baudrate=int(sys.argv[2]))
+assert driver.connect() and driver.start_scan()
+driver.get_scan_data()
+samples, until, began = 0, time.monotonic() + float(sys.argv[3]), time.process_time()
+while time.monotonic() < until:
+    scan = driver.get_scan_data()
+    samples += len(scan[0]) if scan else 0
+print((time.process_time() - began) / samples * 1e6)
+driver.stop_scan()
+driver.disconnect()
+"""
+
+
+def _sdk(model: str, seconds: float) -> float | None:
+    """CPU microseconds a sample of the vendor's SDK through pyrplidarsdk, on a pty at the pace of the line."""
+    sites = sorted((ROOT / ".interop-venv").glob("*/pyrplidarsdk"))
+    if not sites:
+        return None
+    fake = RplidarFake(model)
+    baud = fake.model.baud
+    with tempfile.TemporaryDirectory() as folder, PtyHost(fake, f"{folder}/lidar", baud=baud) as host:
+        done = subprocess.run(
+            [sys.executable, "-c", _SDK_CLIENT, str(host.link), str(baud), str(seconds)],
+            env=os.environ | {"PYTHONPATH": str(sites[0].parent)},
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=True,
+        )
+    return float(done.stdout)
+
+
 def measure(ctx: Context) -> None:
     """parse_us_per_sample_legacy and _capsule; rows for every mode."""
     seconds, rounds = (6.0, 3) if ctx.quick else (10.0, 9)
@@ -151,6 +187,8 @@ def measure(ctx: Context) -> None:
         if module is not None and answer != 0x86:  # which pyrplidar does not know
             row["peer_us"] = statistics.median(_theirs(module, fake, answer, mode, data) for _ in range(rounds))
         ctx.row(row)
+    for model in ("c1", "a1-old", "a1", "s2", "s3"):
+        ctx.row({"what": "sdk", "model": model, "sdk_us": _sdk(model, 1.0 if ctx.quick else 3.0)})
     rows = [row for row in ctx.rows.all if row.get("what") == "parse"]
     legacy = next(row for row in rows if row["answer"] == "0x81")
     express = next(row for row in rows if row["answer"] == "0x82")

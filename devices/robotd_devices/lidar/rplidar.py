@@ -70,8 +70,8 @@ class Rplidar(Sensor[RplidarConfig, LidarScan]):
     Faults that it counts: those of the stream (`bad checksum`, `stray bytes`, `no packet behind a packet`,
     `impossible angle`, `not turning`; in the standard mode `senseless node`, `lost alignment`), of whole scans
     (`lost packets`, `no return anywhere`, `old scan dropped`, `rotation off`), of the device (`health warning`,
-    `protection stop`) and of its silence (`scan restarted`, `lidar reset`, `does not come back`). Lost where the port goes away or where
-    nothing brings scans back within `silent_s`.
+    `protection stop`) and of its silence (`scan restarted`, `lidar reset`, `does not come back`). Lost where the port
+    goes away or where nothing brings scans back within `silent_s`.
     """
 
     sim_twin = "sim_lidar"
