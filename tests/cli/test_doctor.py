@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from doctor_facts import BY_ID, PORT, BusConfig, CameraConfig, FakeProbes, ModelConfig, PortConfig, part
+from doctor_facts import BY_ID, PORT, BusConfig, CameraConfig, FakeProbes, ModelConfig, PadConfig, PortConfig, part
 
 from robotd.authoring.config import Config, NoConfig
 from robotd.setup.doctor.devices import check_device, check_together, needs
@@ -14,6 +14,7 @@ from robotd.setup.problems import ConfigError, Problem
 
 # ------------------------------------------------------------------------------------------ devices
 
+PAD = "/dev/input/by-id/usb-pad-event-joystick"
 NO_ACCESS = Node("device", readable=False, writable=False, group="dialout")
 MAI = Account("mai", frozenset({"mai"}), frozenset())
 JOINED = Account("mai", frozenset({"mai"}), frozenset({"dialout"}))
@@ -152,6 +153,7 @@ def test_faults_of_devices(config: Config, probes: FakeProbes, code: int, cause:
         (CameraConfig(), FakeProbes({"/dev/video0": Node("device", writable=False)}), ["/dev/video0 is there"]),
         (CameraConfig(source="f"), FakeProbes({"f": Node("folder", pictures=2)}), ["f is there, 2 pictures"]),
         (CameraConfig(source="http://cam/"), FakeProbes(network={("cam", 80): ""}), ["cam:80 answers"]),
+        (PadConfig(), FakeProbes({PAD: Node("device", writable=False)}), [f"{PAD} is there"]),
         (ModelConfig(), FakeProbes(), ["names nothing that could be looked at without opening it"]),
         (ModelConfig(model="a"), FakeProbes({"a": Node("file", writable=False, head=b"onnx")}), ["a is there"]),
         (PortConfig(port="/dev/ttyU*"), FakeProbes({PORT: Node("device")}), [f"{PORT} is there"]),
@@ -219,6 +221,8 @@ def test_faults_between_devices(configs: list[Config], probes: FakeProbes, fault
         (BusConfig(bus=7), [Need("I2C bus", "/dev/i2c-7", "bus")]),
         (CameraConfig(source="2"), [Need("camera", "/dev/video2", "source")]),
         (CameraConfig(source="rtsp://cam/1"), [Need("network camera", "rtsp://cam/1", "source")]),
+        (PadConfig(), [Need("input device", "/dev/input/by-id/*-event-joystick", "path")]),
+        (PadConfig(path="pad"), []),
         (ModelConfig(), []),
         (ModelConfig(model="/m/a.onnx"), [Need("file", "/m/a.onnx", "model")]),
         (NoConfig(), []),

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from doctor_facts import BY_ID, PORT, BusConfig, CameraConfig, FakeProbes, ModelConfig, PortConfig, part
+from doctor_facts import BY_ID, PORT, BusConfig, CameraConfig, FakeProbes, ModelConfig, PadConfig, PortConfig, part
 
 from robotd.authoring.config import Config, NoConfig
 from robotd.authoring.device import (
@@ -178,6 +178,7 @@ ROWS: list[tuple[str, Callable[[], list[Finding]]]] = [
     ),
     ("bus absent", lambda: device(config=BusConfig())),
     ("camera absent", lambda: device(config=CameraConfig())),
+    ("input absent", lambda: device(config=PadConfig())),
     ("file absent", lambda: device(config=ModelConfig(model="a.onnx"))),
     ("wrong sort", lambda: device(Node("file"))),
     ("no pictures", lambda: device(Node("folder"), CameraConfig(source="photos"))),
@@ -205,7 +206,10 @@ ROWS: list[tuple[str, Callable[[], list[Finding]]]] = [
     ("health error", lambda: refused(DeviceUnavailable("A1 is in its protection stop, code 0x0001, also after"))),
     ("no chip", lambda: refused(DeviceUnavailable("no chip answers at address 0x60 on I2C bus /dev/i2c-1: is the"))),
     ("bus stuck", lambda: refused(DeviceUnavailable("the bus is stuck (address 0x60): a chip holds a line low"))),
+    ("another chip", lambda: refused(DeviceUnavailable("the chip at 0x41 says 0x12 when asked who it is; known are"))),
     ("settings lost", lambda: lost("the chip at 0x60 on I2C bus /dev/i2c-1 lost its settings (MODE1 11)")),
+    ("does not start", lambda: refused(DeviceUnavailable("A1 does not begin its scan `Boost`: nothing came"))),
+    ("no picture", lambda: lost("no picture for 2 s: does the camera hang?")),
     ("taken meanwhile", lambda: refused(caused(DeviceUnavailable("/dev/a is taken"), BlockingIOError(11, "no")))),
     ("not allowed", lambda: refused(caused(DeviceUnavailable("cannot open"), PermissionError(13, "no")))),
     ("cannot be so", lambda: refused(DeviceMisconfigured("/dev/a cannot do 7 baud"))),
@@ -228,6 +232,7 @@ ROWS: list[tuple[str, Callable[[], list[Finding]]]] = [
     ("weak supply", lambda: counted("under-voltage")),
     ("turns wrongly", lambda: counted("rotation off", "7.0 Hz")),
     ("warns of itself", lambda: counted("health warning")),
+    ("falls behind", lambda: counted("old scan dropped", "0.3 s old")),
     ("controller complains", lambda: counted("kill latched")),
     ("other fault", lambda: counted("whatever")),
     ("nothing measured", lambda: lidar([scan(np.nan)] * 3)),

@@ -32,6 +32,10 @@ class CameraConfig(Config):
     source: int | str = 0
 
 
+class PadConfig(Config):
+    path: str = "/dev/input/by-id/*-event-joystick"
+
+
 class ModelConfig(Config):
     model: Annotated[str | None, FileKey()] = None
     map: Annotated[str, FileKey("maps")] = "line_loop"

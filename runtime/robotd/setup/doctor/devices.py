@@ -22,7 +22,7 @@ MEDDLERS: Mapping[str, str] = {"ModemManager": "modem manager", "brltty": "brail
 
 
 def needs(config: Config) -> list[Need]:
-    """What of the machine a device's config names: by the keys `port`, `bus` and `source`, and by `FileKey`."""
+    """What of the machine a device's config names: by the keys `port`, `bus`, `source` and `path`, and by `FileKey`."""
     wanted: list[Need] = []
     for key, about in type(config).model_fields.items():
         value = getattr(config, key)
@@ -36,6 +36,8 @@ def needs(config: Config) -> list[Need]:
         elif key == "source" and " ! " not in text:  # a pipeline names its own source, in its own words
             kind: NeedKind = "network camera" if urlsplit(text).scheme in _URL_PORTS else "camera"
             wanted.append(Need(kind, f"/dev/video{text}" if text.isdigit() else text, key))
+        elif key == "path" and text.startswith("/dev/input/"):
+            wanted.append(Need("input device", text, key))
         elif any(isinstance(mark, FileKey) and not mark.shelf for mark in about.metadata):
             wanted.append(Need("file", text, key))
     return wanted
@@ -96,9 +98,9 @@ def _check_network(name: str, need: Need, probes: Probes) -> Finding:
 
 def _check_node(name: str, need: Need, probes: Probes) -> list[Finding]:
     node = probes.node(need.path)
-    if node.kind == "absent" and need.kind == "serial port" and glob.has_magic(need.path):
+    if node.kind == "absent" and glob.has_magic(need.path):
         fitting = probes.fitting(need.path)
-        if len(fitting) > 1:
+        if len(fitting) > 1 and need.kind == "serial port":
             said = ", ".join(fitting)
             return [found("several ports fit", name, count=len(fitting), path=need.path, paths=said)]
         if fitting:
@@ -106,7 +108,7 @@ def _check_node(name: str, need: Need, probes: Probes) -> list[Finding]:
     if node.kind == "absent":
         return [_absent(name, need, probes.candidates(need.kind))]
     if sort := _wrong_sort(need, node):
-        wanted = f"{'an' if need.kind == 'I2C bus' else 'a'} {need.kind}"
+        wanted = f"{'an' if need.kind[0] in 'Ii' else 'a'} {need.kind}"
         return [found("wrong sort", name, path=need.path, sort=sort, wanted=wanted, key=need.key)]
     write = need.kind in ("serial port", "I2C bus")
     if not node.readable or (write and not node.writable):
@@ -139,6 +141,7 @@ _ABSENT: Mapping[NeedKind, str] = {
     "serial port": "port absent",
     "I2C bus": "bus absent",
     "camera": "camera absent",
+    "input device": "input absent",
     "file": "file absent",
 }
 
@@ -161,6 +164,7 @@ def _wrong_sort(need: Need, node: Node) -> str:
         "serial port": ("device",),
         "I2C bus": ("device", "socket"),
         "camera": ("device", "folder", "file"),
+        "input device": ("device",),
         "file": ("file",),
     }
     return "" if node.kind in allowed[need.kind] else words.get(node.kind, "a pipe or the like")

@@ -9,7 +9,7 @@ from typing import Literal, Protocol, TypeAlias
 from robotd.engine.parts import DevicePart, Parts
 
 Kind: TypeAlias = Literal["absent", "device", "folder", "file", "socket", "other"]
-NeedKind: TypeAlias = Literal["serial port", "I2C bus", "camera", "network camera", "file"]
+NeedKind: TypeAlias = Literal["serial port", "I2C bus", "camera", "network camera", "input device", "file"]
 
 PICTURES = (".jpg", ".jpeg", ".png", ".bmp", ".ppm", ".webp")
 HEAD_BYTES = 64

@@ -87,6 +87,10 @@ FAULTS: Mapping[str, Fault] = {
         "else `sudo modprobe i2c-dev`){or_here}",
     ),
     "camera absent": Fault("camera {path} does not exist", "plug it in, or correct the path{or_here}"),
+    "input absent": Fault(
+        "input device {path} does not exist",
+        "plug the pad in or switch it on; `ls /dev/input/by-id` names what is there{or_here}",
+    ),
     "file absent": Fault(
         "file {path} does not exist",
         "correct the path in the config; a relative one counts from the config's folder",
@@ -157,9 +161,12 @@ FAULTS: Mapping[str, Fault] = {
     "bus stuck": _opening(
         "{words}", "switch the board off and on; pull-ups, short wires, no two boards on one address"
     ),
+    "another chip": _opening("{words}", "correct `address`; `i2cdetect -y BUS` shows the addresses that answer"),
     "settings lost": _opening(
         "{words}", "the supply broke down, usually as the motors start: a larger capacitor, a charged battery"
     ),
+    "does not start": _opening("{words}", "switch it off and on; a stronger supply; where it stays, it is broken"),
+    "no picture": _opening("{words}", "unplug it, plug it in again; does another program show its picture?"),
     "taken meanwhile": _opening("{words}", "end the other program; `sudo fuser -v PORT` names it", TEMPORARY),
     "not allowed": _opening("{words}", "`robotd doctor FILE` without --probe says which group to join", PERMISSION),
     "cannot be so": _opening("{words}", "correct the config; the device's page in docs/devices has the keys", CONFIG),
@@ -213,6 +220,9 @@ FAULTS: Mapping[str, Fault] = {
     ),
     "warns of itself": _opening_doubt(
         "{count} times `{name}`{or_detail}", "let the head turn freely, clean its window, give it a strong 5 V"
+    ),
+    "falls behind": _opening_doubt(
+        "{count} times `{name}`{or_detail}", "less load on this computer (`top`), less heat"
     ),
     "controller complains": _opening_doubt(
         "{count} times `{name}`{or_detail}", "switch it off and on; its page in docs"

@@ -24,6 +24,7 @@ _PATTERNS: Mapping[NeedKind, tuple[str, ...]] = {
     "serial port": ("serial/by-id/*", "ttyUSB*", "ttyACM*", "ttyAMA*", "ttyTHS*", "serial[0-9]*"),
     "I2C bus": ("i2c-[0-9]*",),
     "camera": ("video[0-9]*",),
+    "input device": ("input/by-id/*-event-joystick",),
 }
 
 
