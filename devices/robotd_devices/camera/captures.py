@@ -8,6 +8,7 @@ from typing import Any
 
 from robotd.authoring.device import DeviceMisconfigured, DeviceUnavailable
 from robotd_devices.camera.config import CameraConfig, device_path, kind_of, shown
+from robotd_devices.camera.pipelines import pipeline
 from robotd_devices.camera.shape import Shape
 
 _OPEN_WITHIN_MS = 5000
@@ -18,7 +19,12 @@ def open_live(config: CameraConfig, shape: Shape) -> Any:
     kind = kind_of(config.source)
     if kind == "v4l2":
         return _open_v4l2(config, shape)
-    return _open_url(config) if kind == "url" else _open_pipeline(config)
+    if kind == "url":
+        return _open_url(config)
+    if kind == "board":
+        size = config.width_px, config.height_px
+        return _open_pipeline(pipeline(str(config.source), config.rate_hz, *size, config.rotate_deg))
+    return _open_pipeline(str(config.source))
 
 
 def _open_v4l2(config: CameraConfig, shape: Shape) -> Any:
@@ -71,17 +77,19 @@ def _open_url(config: CameraConfig) -> Any:
     return capture
 
 
-def _open_pipeline(config: CameraConfig) -> Any:
+def _open_pipeline(text: str) -> Any:
     import cv2
 
     if not cv2.videoio_registry.hasBackend(cv2.CAP_GSTREAMER):
         raise DeviceMisconfigured(
-            "`source` is a GStreamer pipeline, and this OpenCV was built without GStreamer (the package from PyPI is): "
-            "use the system's OpenCV, or a camera that has a /dev/video node"
+            "`source` needs GStreamer, and this OpenCV was built without GStreamer (the package from PyPI is): "
+            "`pip uninstall opencv-python-headless`, `sudo apt install python3-opencv` and an environment made with "
+            "`--system-site-packages`; or use a camera that has a /dev/video node"
         )
-    capture = cv2.VideoCapture(str(config.source), cv2.CAP_GSTREAMER)
+    capture = cv2.VideoCapture(text, cv2.CAP_GSTREAMER)
     if not capture.isOpened():
         raise DeviceUnavailable(
-            "`source`: the pipeline does not run: try it with `gst-launch-1.0`, with `appsink` replaced by `fakesink`"
+            "`source`: the pipeline does not run: try it with `gst-launch-1.0`, with `appsink` replaced by `fakesink`: "
+            f"{text}"
         )
     return capture

@@ -11,21 +11,45 @@ from robotd.authoring.device import DeviceContext, DeviceError, DeviceUnavailabl
 from robotd.world.clock import ns
 from robotd.world.messages import CameraFrame
 from robotd_devices.camera.captures import open_live
+from robotd_devices.camera.checks import CheckSettings, FrameCheck
 from robotd_devices.camera.config import LIVE, CameraConfig, kind_of, shown
 from robotd_devices.camera.grabber import Capture, Grabbed, Grabber, Timing
+from robotd_devices.camera.mjpeg_http import MjpegStream, NotMjpeg
+from robotd_devices.camera.mjpeg_slot import JpegSlot
 from robotd_devices.camera.pictures import Folder, Picture, Pictures, Player, Video
 from robotd_devices.camera.shape import Shape
 
 _MOST_HANGING = 2
 
 
+def _itself(slot: JpegSlot) -> Capture:
+    return slot
+
+
+def _settings(config: CameraConfig, is_mjpeg: bool) -> CheckSettings:
+    """What to look for, by what the source can do.
+
+    Video codecs leave parts of a still scene, and whole pictures, as they are: of such streams repeats say nothing.
+    JPEGs have no older pictures in them.
+    """
+    is_url = kind_of(config.source) == "url"
+    return CheckSettings(
+        frozen_ns=0 if is_url and not is_mjpeg else ns(config.frozen_s),
+        black_below=config.black_below,
+        black_pictures=config.black_pictures,
+        torn=config.torn,
+        partial=not is_url,
+    )
+
+
 class Camera(Sensor[CameraConfig, CameraFrame]):
     """Pictures from whatever `source` names.
 
     A live source is read by a thread as fast as it gives pictures; only the newest is kept, so that a slow program
-    skips pictures and never sees old ones. Faults that it counts: `picture dropped`, `unreadable picture` (a file, by
-    name), `picture not ready in time`. Lost where a read fails, nothing comes for `silent_s`, or a folder or video
-    without `loop` is at its end; it then stays at its end.
+    skips pictures and never sees old ones. Faults that it counts: `picture dropped`, `torn picture`, `repeated
+    picture`, `black picture`, `picture too large`, `part that is no picture` (a stream), `unreadable picture` (a file,
+    by name), `picture not ready in time`. Lost where a read fails, nothing comes for `silent_s`, the very same picture
+    came for `frozen_s`, or a folder or video without `loop` is at its end; it then stays at its end.
 
     open_capture: what opens a live source, on the grabber's thread; a fake's in tests.
     """
@@ -40,9 +64,13 @@ class Camera(Sensor[CameraConfig, CameraFrame]):
         open_capture: Callable[[], Capture] | None = None,
     ) -> None:
         super().__init__(config, context)
-        self._shape = Shape(config.width_px, config.height_px, config.rotate_deg)
+        # a board's pipeline turns by itself
+        turn = 0 if kind_of(config.source) == "board" else config.rotate_deg
+        self._shape = Shape(config.width_px, config.height_px, turn)
+        self._is_http = config.is_http and open_capture is None
         self._open_capture = open_capture if open_capture is not None else partial(open_live, config, self._shape)
         self._name = shown(config.source)
+        self._stream: MjpegStream | None = None
         self._grabber: Grabber | None = None
         self._hanging: list[Grabber] = []
         self._player: Player | None = None
@@ -77,6 +105,9 @@ class Camera(Sensor[CameraConfig, CameraFrame]):
         player, self._player = self._player, None
         if player is not None:
             player.stop()
+        stream, self._stream = self._stream, None
+        if stream is not None:
+            stream.stop()
         grabber, self._grabber = self._grabber, None
         if grabber is not None and not await grabber.close():
             self._hanging.append(grabber)
@@ -89,11 +120,14 @@ class Camera(Sensor[CameraConfig, CameraFrame]):
             raise DeviceUnavailable(
                 f"{self._name} hangs: {_MOST_HANGING} reads of it never returned; pull the camera out and plug it in"
             )
+        slot = await self._open_stream() if self._is_http else None
+        kind = kind_of(self.config.source)
         self._grabber = Grabber(
             self.context.name,
-            self._open_capture,
+            self._open_capture if slot is None else partial(_itself, slot),
             self._shape,
-            Timing(self.context.clock, ns(self.config.latency), kind_of(self.config.source) == "v4l2"),
+            Timing(self.context.clock, ns(self.config.latency), slot is not None or kind == "v4l2"),
+            FrameCheck(_settings(self.config, is_mjpeg=slot is not None)),
             on_picture=self._grabbed,
             on_fault=self.context.link.fault,
             on_lost=self._gone,
@@ -101,6 +135,19 @@ class Camera(Sensor[CameraConfig, CameraFrame]):
         await self._grabber.open()
         self._heard = False
         self._watch = asyncio.get_running_loop().call_later(self.config.silent_s, self._listen)
+
+    async def _open_stream(self) -> JpegSlot | None:
+        """Where pictures of an MJPEG stream come; None where the address gives something else, for OpenCV."""
+        slot = JpegSlot()
+        self._stream = MjpegStream(
+            str(self.config.source), self._name, slot, self.context.clock, self.context.link.fault
+        )
+        try:
+            await self._stream.open()
+        except NotMjpeg:
+            self._stream = None
+            return None
+        return slot
 
     def _grabbed(self, picture: Grabbed) -> None:
         self._heard = True

@@ -12,6 +12,8 @@ from typing import Any, NamedTuple, Protocol
 from robotd.authoring.device import DeviceError, DeviceUnavailable
 from robotd.world.clock import NS_PER_S, Clock
 from robotd.world.messages import Bytes2D
+from robotd_devices.camera.checks import FrameCheck
+from robotd_devices.camera.mjpeg_slot import JpegSlot
 from robotd_devices.camera.shape import Shape
 
 CLOSE_WITHIN_S = 0.15
@@ -38,9 +40,9 @@ class Grabbed(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """How stamps are made: the driver's own where `driver_stamps` and it is believable, else the arrival; less latency.
+    """How stamps are made: the capture's own where `driver_stamps` and believable, else the arrival; less latency.
 
-    Believable is what lies within the last second.
+    The capture's own are a V4L2 driver's and our MJPEG client's. Believable is what lies within the last second.
     """
 
     clock: Clock
@@ -70,6 +72,7 @@ class Grabber:
         open_capture: Callable[[], Capture],
         shape: Shape,
         timing: Timing,
+        check: FrameCheck,
         *,
         on_picture: Callable[[Grabbed], None],
         on_fault: Callable[[str, str], None],
@@ -80,6 +83,7 @@ class Grabber:
         self._open_capture = open_capture
         self._shape = shape
         self._timing = timing
+        self._check = check
         self._on_picture = on_picture
         self._on_fault = on_fault
         self._on_lost = on_lost
@@ -136,7 +140,7 @@ class Grabber:
                 self._tell(self._lose, "no picture came any more: is its cable in, and its supply strong enough?")
                 return
             stamp_ns = self._timing.stamp_ns(capture)
-            sequence += 1
+            sequence = capture.number if isinstance(capture, JpegSlot) else sequence + 1
             found, raw = capture.retrieve()
             if not found or raw is None:
                 self._tell(self._fault, "picture dropped", "it could not be decoded")
@@ -146,7 +150,14 @@ class Grabber:
             except ValueError as error:
                 self._tell(self._fault, "picture dropped", str(error))
                 continue
-            self._hand_over(picture)
+            verdict = self._check.judge(raw, self._timing.clock.now_ns())
+            for fault in verdict.faults:
+                self._tell(self._fault, *fault)
+            if verdict.lost:
+                self._tell(self._lose, verdict.lost)
+                return
+            if verdict.publish:
+                self._hand_over(picture)
 
     def _hand_over(self, picture: Grabbed) -> None:
         with self._lock:

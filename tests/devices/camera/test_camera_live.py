@@ -243,6 +243,41 @@ async def test_bad_picture_is_dropped_and_counted(spoil: Callable[[FakeCapture],
     await device.close()
 
 
+async def test_a_camera_that_repeats_itself_is_lost_and_no_old_picture_looks_new() -> None:
+    capture, clock = FakeCapture(), ManualClock(10**10)
+    device, link = camera(capture, clock, frozen_s=1.0)
+    await device.open()
+    still = np.random.default_rng(0).integers(0, 256, (24, 32, 3)).astype(np.uint8)
+    for _ in range(21):
+        capture.odd = still.copy()
+        clock.set_ns(clock.now_ns() + PERIOD_NS)
+        capture.send()
+        await link.until(lambda link: len(link.messages) + len(link.faults) >= 1)
+        await until(lambda: capture.odd is None)
+    await link.until(lambda link: bool(link.losses))
+    assert "frozen: the very same picture for 1 s, it is opened anew" in str(link.losses[0])
+    assert len(link.messages) == 1
+    assert {name for name, _ in link.faults} == {"repeated picture"}
+    await device.close()
+    assert capture.released == 1
+
+
+async def test_torn_pictures_are_left_out_and_the_numbers_show_it() -> None:
+    capture = FakeCapture()
+    device, link = camera(capture)
+    await device.open()
+    torn = np.random.default_rng(0).integers(0, 256, (24, 32, 3)).astype(np.uint8)
+    torn[12:] = 128
+    capture.odd = torn
+    capture.take()
+    capture.send()
+    await link.received(1)
+    assert [name for name, _ in link.faults] == ["torn picture"]
+    assert link.of(CameraFrame)[0].sequence == 2
+    capture.unplug()
+    await device.close()
+
+
 async def test_grey_live_pictures_become_three_channels() -> None:
     capture = FakeCapture()
     device, link = camera(capture, rotate_deg=90, width_px=18)

@@ -43,16 +43,17 @@ def test_open_live_says_why_not(source: int | str, error: type[Exception], words
 @pytest.mark.parametrize(
     ("has_gstreamer", "error", "words"),
     [
-        (False, DeviceMisconfigured, "this OpenCV was built without GStreamer"),
+        (False, DeviceMisconfigured, "this OpenCV was built without GStreamer.*apt install python3-opencv"),
         (True, DeviceUnavailable, "the pipeline does not run: try it with `gst-launch-1.0`"),
     ],
 )
+@pytest.mark.parametrize("source", ["no_such_element ! appsink", "csi", "libcamera"])
 def test_pipelines_need_an_opencv_with_gstreamer(
-    monkeypatch: pytest.MonkeyPatch, has_gstreamer: bool, error: type[Exception], words: str
+    monkeypatch: pytest.MonkeyPatch, source: str, has_gstreamer: bool, error: type[Exception], words: str
 ) -> None:
     monkeypatch.setattr(cv2.videoio_registry, "hasBackend", lambda backend: has_gstreamer)
     with pytest.raises(error, match=words):
-        open_live(CameraConfig(source="no_such_element ! appsink"), Shape())
+        open_live(CameraConfig(source=source), Shape())
 
 
 def test_a_plain_file_is_no_camera(tmp_path: Path) -> None:
@@ -69,6 +70,10 @@ def test_a_plain_file_is_no_camera(tmp_path: Path) -> None:
         ("/dev/v4l/by-id/usb-x-video-index0", "v4l2", "/dev/v4l/by-id/usb-x-video-index0"),
         ("rtsp://a:b@cam/1", "url", "rtsp://cam/1"),
         ("http://cam:81/stream", "url", "http://cam:81/stream"),
+        ("csi", "board", "csi"),
+        ("csi:1", "board", "csi:1"),
+        ("libcamera:imx219", "board", "libcamera:imx219"),
+        ("csirecordings", "video", "csirecordings"),
         ("nvarguscamerasrc ! appsink", "pipeline", "nvarguscamerasrc ! appsink"),
         ("/tmp", "folder", "/tmp"),
         ("drive.avi", "video", "drive.avi"),
