@@ -221,9 +221,7 @@ FAULTS: Mapping[str, Fault] = {
     "warns of itself": _opening_doubt(
         "{count} times `{name}`{or_detail}", "let the head turn freely, clean its window, give it a strong 5 V"
     ),
-    "falls behind": _opening_doubt(
-        "{count} times `{name}`{or_detail}", "less load on this computer (`top`), less heat"
-    ),
+    "falls behind": _opening_doubt("{count} times `{name}`{or_detail}", "less load (`top`), less heat"),
     "controller complains": _opening_doubt(
         "{count} times `{name}`{or_detail}", "switch it off and on; its page in docs"
     ),

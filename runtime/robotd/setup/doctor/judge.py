@@ -24,7 +24,7 @@ WORDS: Sequence[tuple[str, str]] = (
     (r"protection stop|whether it is well|reports an error", "health error"),
     (r"does not begin|still starts|busy for ever|the same values", "does not start"),
     (r"no picture for|no stream from", "no picture"),
-    (r"another chip|is no INA219|when asked who it is|says it is", "another chip"),
+    (r"another chip|is no [A-Z]+[0-9]+|when asked who it is|says it is", "another chip"),
     (r"bytes came but|wrong baud", "bytes of something else"),
     (r"no byte came", "no byte"),
     (r"does not turn|not turning", "does not turn"),
@@ -39,10 +39,8 @@ COUNTED: Sequence[tuple[str, str]] = (
     (r"health|protection stop|scan restarted|lidar reset|does not come back", "warns of itself"),
     (r"not turning|rotation off|speed and angles", "turns wrongly"),
     (r"old scan|events dropped", "falls behind"),
-    (
-        r"checksum|stray bytes|garbled|jumped|unreadable|no answer|packet|frame|node|alignment|impossible angle|clock or speed|I2C retry",
-        "bad bytes",
-    ),
+    (r"checksum|stray bytes|garbled|jumped|unreadable|no answer|packet|frame|node|I2C retry", "bad bytes"),
+    (r"alignment|impossible angle|clock or speed", "bad bytes"),
     (r"latched|timed out|over.?current|over.?temp|without auto|line full|stall", "controller complains"),
 )
 """The same for the names of faults that drivers count."""
