@@ -66,7 +66,7 @@ class McMotors(SerialMotor[McConfig, Steer]):
         return None if config.odometry == "off" else 0.05
 
     def prepare(self) -> None:
-        self._car = self.body(Ackermann, "wheelbase_m: 0.257, track_m: 0.16, max_steering_deg: 25")
+        self._car = self.body(Ackermann, "wheelbase_m: 0.257, track_m: 0.16, max_steering_rad: 0.436")
         self._parser = McParser()
         self._seq = 0
         self._is_auto = self._has_answered = False

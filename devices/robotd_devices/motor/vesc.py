@@ -76,7 +76,7 @@ class Vesc(SerialMotor[VescConfig, Steer]):
         return 1.0 / config.poll_hz
 
     def prepare(self) -> None:
-        self._car = self.body(Ackermann, "wheelbase_m: 0.325, track_m: 0.27, max_steering_deg: 24")
+        self._car = self.body(Ackermann, "wheelbase_m: 0.325, track_m: 0.27, max_steering_rad: 0.42")
         self._parser = VescParser()
         self._has_answered = False
         self._counts: int | None = None
