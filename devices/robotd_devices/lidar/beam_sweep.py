@@ -14,6 +14,9 @@ from robotd.world.robot import Mount
 _HALF_TURN_DEG = 180.0
 _TURN_DEG = 360.0
 
+#: A wider gap cannot be told from a step back, nor from a gap of a turn more.
+LONGEST_GAP_DEG = 270.0
+
 
 class Beams(NamedTuple):
     """Beams in the order in which they were measured, all arrays (n,).
@@ -121,12 +124,15 @@ class BeamSweep:
         return scan
 
     def gap(self, to_deg: float, step_deg: float) -> LidarScan | None:
-        """Beams up to (not including) a head angle were lost; the scan that ended meanwhile, if one did."""
+        """Beams up to (not including) a head angle were lost; the scan that ended meanwhile, if one did.
+
+        An angle that lies within a quarter of a turn behind the head is no gap but a little doubt about the head.
+        """
         if self._last_at is None:
             return None
         turned = (self.after_seam(to_deg) - self._last_at) % _TURN_DEG
         count = round(turned / step_deg) if step_deg > 0.0 else 0
-        if count <= 0 or turned > _TURN_DEG - 2.0 * step_deg:
+        if count <= 0 or turned > LONGEST_GAP_DEG:
             return None
         from_deg = self._last_at + self._seam_deg
         head: Float64s = (from_deg + turned / count * np.arange(count, dtype=np.float64)) % _TURN_DEG

@@ -45,7 +45,7 @@ def decode_samples(form: CapsuleFormat, data: bytes, start_q6: Ints, gap_q6: Int
     """The samples of capsules that lie one behind the other in `data`.
 
     start_q6: (n,) angle of each first sample; gap_q6: (n,) angle to the next capsule's first sample, not negative.
-    behind: data of the capsule after the last one; without it an ultra capsule's last sample is no return.
+    behind: data of the capsule after the last one; without it the last two samples of an ultra capsule are not right.
     """
     head = head_q16(form, start_q6, gap_q6)
     rows = np.frombuffer(data, dtype=np.uint8).reshape(len(start_q6), -1)
@@ -82,8 +82,6 @@ def _ultra(rows: NDArray[np.uint8], head: Ints, behind: bytes) -> Samples:
     borrowed = (base == 0) & (next_base != 0)
     one = (first << np.where(borrowed, next_level, level)) + np.where(borrowed, next_base, base)
     two = (second << next_level) + next_base
-    if not behind:
-        two[-1, -1] = 0
     one[np.isin(first, _NO_RETURN)] = 0
     two[np.isin(second, _NO_RETURN)] = 0
     distance = np.stack((base, one, two), axis=2).reshape(head.shape) << 2

@@ -5,16 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from robotd.world.messages import LidarScan
-from robotd_devices.lidar.beam_sweep import Beams, BeamSweep
-from robotd_devices.lidar.rplidar_capsules import TURN_Q6, Capsule, CapsuleFormat
+from robotd_devices.lidar.beam_sweep import LONGEST_GAP_DEG, Beams, BeamSweep
+from robotd_devices.lidar.rplidar_capsules import TURN_Q6, ULTRA, Capsule, CapsuleFormat
 from robotd_devices.lidar.rplidar_nodes import NODE_BYTES, NodeRun
 from robotd_devices.lidar.rplidar_samples import decode_samples
 
 _TURN_Q16 = float(1 << 16)
 #: Slamtec's own estimate: a sample was taken one and a half sample times before it leaves the device.
 _DELAY_SAMPLES = 1.5
-#: After a gap of more than this share of a turn it is not clear how many turns were lost.
-_LONGEST_GAP_TURNS = 0.75
 
 #: Nodes are looked at for the seam in pieces of at most this, so that no turn is missed in a backlog.
 _PIECE_BYTES = 32 * NODE_BYTES
@@ -36,6 +34,8 @@ class CapsuleSweep:
         self._wire_ns = round(form.size * byte_ns + _DELAY_SAMPLES * sweep.beam_ns)
         self._run: list[Capsule] = []
         self._gap_q6 = 0
+        self._old = False
+        """The capsule before was one that had been there already."""
 
     def add(self, capsule: Capsule) -> list[LidarScan]:
         """Take the next capsule; the scans that it ends."""
@@ -45,11 +45,15 @@ class CapsuleSweep:
             self._sweep.reset()
             run.clear()
             self._gap_q6 = 0
-        elif run and not capsule.chained:
+        elif run and self._is_old(capsule):
+            self._old = True
+            return []
+        elif run and (self._old or not capsule.chained):
             last = run[-1]
             done.append(self._decode(len(run), (last.start_q6 + self._gap_q6) % TURN_Q6, b""))
             self._lost(capsule, last, done)
             run.clear()
+        self._old = False
         run.append(capsule)
         if len(run) > 1:
             before = run[-2]
@@ -60,14 +64,22 @@ class CapsuleSweep:
                 del run[:-1]
         return [scan for scan in done if scan is not None]
 
+    def _is_old(self, capsule: Capsule) -> bool:
+        """Whether a capsule begins where others have been already: bytes came twice."""
+        ahead_q6 = (capsule.start_q6 - self._run[-1].start_q6) % TURN_Q6
+        return (ahead_q6 == 0 or ahead_q6 > LONGEST_GAP_DEG * 64) and not self._is_late(capsule, self._run[-1])
+
+    def _is_late(self, capsule: Capsule, last: Capsule) -> bool:
+        """Whether so much time passed between two capsules that it is not clear how many turns were lost."""
+        form, beam_ns = self._form, self._sweep.beam_ns
+        turn_ns = TURN_Q6 / self._gap_q6 * form.samples * beam_ns if self._gap_q6 else 0.0
+        return capsule.arrival_ns - last.arrival_ns - form.samples * beam_ns > LONGEST_GAP_DEG / 360.0 * turn_ns
+
     def _lost(self, capsule: Capsule, last: Capsule, done: list[LidarScan | None]) -> None:
-        form, sweep = self._form, self._sweep
-        step_q6 = self._gap_q6 / form.samples
-        turn_ns = TURN_Q6 / step_q6 * sweep.beam_ns if step_q6 else 0.0
-        if capsule.arrival_ns - last.arrival_ns - form.samples * sweep.beam_ns > _LONGEST_GAP_TURNS * turn_ns:
-            sweep.reset()
+        if self._is_late(capsule, last):
+            self._sweep.reset()
         else:
-            done.append(sweep.gap(capsule.start_q6 / 64.0, step_q6 / 64.0))
+            done.append(self._sweep.gap(capsule.start_q6 / 64.0, self._gap_q6 / self._form.samples / 64.0))
 
     def _decode(self, count: int, then_q6: int, behind: bytes) -> LidarScan | None:
         """Hand over the first capsules of the run; `then_q6`: where the one behind them begins."""
@@ -78,10 +90,13 @@ class CapsuleSweep:
         gaps = (bounds[1:] - bounds[:-1]) % TURN_Q6
         samples = decode_samples(form, b"".join([capsule.data for capsule in run]), bounds[:-1], gaps, behind)
         quality = samples.quality
+        metres = (samples.distance_q2.ravel() * 0.00025).astype(np.float32)
+        if form is ULTRA and not behind:
+            metres[-2:] = np.nan  # these two are coded against the capsule behind
         beams = Beams(
             samples.head_q16.ravel() / _TURN_Q16,
             samples.angle_q6.ravel() / 64.0,
-            (samples.distance_q2.ravel() * 0.00025).astype(np.float32),
+            metres,
             None if quality is None else quality.ravel(),
         )
         marks = [(form.samples * (i + 1) - 1, c.arrival_ns - self._wire_ns) for i, c in enumerate(run)]
@@ -136,7 +151,7 @@ class NodeSweep:
             return
         sweep, first_deg = self._sweep, _first_deg(run.data)
         first_ns = run.arrival_ns - (len(run.data) // NODE_BYTES) * sweep.beam_ns
-        if first_ns - self._last_ns > _LONGEST_GAP_TURNS * 360.0 / self._step_deg * sweep.beam_ns:
+        if first_ns - self._last_ns > LONGEST_GAP_DEG / self._step_deg * sweep.beam_ns:
             sweep.reset()
             self._head_deg = None
         else:
@@ -160,7 +175,7 @@ class NodeSweep:
         self._head_deg = self._last_deg = float(head_deg[-1])
         metres = (nodes["distance"] * 0.00025).astype(np.float32)
         beams = Beams(head_deg, angle_deg, metres, (nodes["head"] >> 2).astype(np.uint8))
-        return self._sweep.add(beams, marks, self._head_deg)
+        return self._sweep.add(beams, marks, (self._head_deg + self._step_deg) % 360.0)
 
 
 def _first_deg(data: bytes) -> float:

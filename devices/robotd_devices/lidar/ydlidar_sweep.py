@@ -5,12 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from robotd.world.messages import LidarScan
-from robotd_devices.lidar.beam_sweep import Beams, BeamSweep
+from robotd_devices.lidar.beam_sweep import LONGEST_GAP_DEG, Beams, BeamSweep
 from robotd_devices.lidar.ydlidar_models import YdModel, decode_samples, lens_deg, metres
 from robotd_devices.lidar.ydlidar_packets import HEADER_BYTES, TURN_Q6, YdPacket
 
-#: After a gap of more than this share of a turn it is not clear how many turns were lost.
-_LONGEST_GAP_TURNS = 0.75
 #: Packets that stand right behind each other lie closer than this, degrees; a wider gap lost something unseen.
 _CLOSE_DEG = 5.0
 
@@ -36,6 +34,8 @@ class YdSweep:
             ahead_deg = (packet.first_q6 - last.last_q6) % TURN_Q6 / 64.0
             close = ahead_deg < _CLOSE_DEG or ahead_deg > 360.0 - _CLOSE_DEG
             if not (packet.chained and close):
+                if ahead_deg > LONGEST_GAP_DEG and not self._is_late(packet, last):
+                    return []  # where others have been already: bytes came twice
                 done.append(self._decode())
                 self._lost(packet, last, done)
         self._kept.append(packet)
@@ -46,13 +46,17 @@ class YdSweep:
             done.append(self._decode())
         return [scan for scan in done if scan is not None]
 
+    def _is_late(self, packet: YdPacket, last: YdPacket) -> bool:
+        """Whether so much time passed between two packets that it is not clear how many turns were lost."""
+        beam_ns, step_deg = self._sweep.beam_ns, self._step_deg
+        elapsed_ns = packet.arrival_ns - last.arrival_ns - packet.samples * beam_ns
+        return not step_deg or elapsed_ns > LONGEST_GAP_DEG / step_deg * beam_ns
+
     def _lost(self, packet: YdPacket, last: YdPacket, done: list[LidarScan | None]) -> None:
-        sweep, step_deg = self._sweep, self._step_deg
-        elapsed_ns = packet.arrival_ns - last.arrival_ns - packet.samples * sweep.beam_ns
-        if not step_deg or elapsed_ns > _LONGEST_GAP_TURNS * 360.0 / step_deg * sweep.beam_ns:
-            sweep.reset()
+        if self._is_late(packet, last):
+            self._sweep.reset()
         else:
-            done.append(sweep.gap(packet.first_q6 / 64.0, step_deg))
+            done.append(self._sweep.gap(packet.first_q6 / 64.0, self._step_deg))
 
     def _decode(self) -> LidarScan | None:
         kept, self._kept = self._kept, []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import random
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from robotd_devices.lidar.rplidar_capsules import FORMATS
 from robotd_devices.lidar.rplidar_fake import MODELS, RplidarFake
 from robotd_devices.lidar.rplidar_reader import RplidarReader
 from robotd_devices.lidar.rplidar_wire import SCAN, express_scan, motor_pwm, motor_rpm, request
+from robotd_devices.ports.fakes import DAMAGES, damage
 
 CASES = [(name, mode.number or 0) for name, model in MODELS.items() for mode in model.modes]
 IDS = [f"{name} {MODELS[name].modes[mode].name}" for name, mode in CASES]
@@ -133,6 +135,34 @@ def test_lost_capsules_are_beams_not_measured(model: str, mode: int, lost: int, 
     assert count * lost - 1 <= missing <= (count + 1) * lost + 1
 
 
+@pytest.mark.parametrize(("model", "mode"), [("a1", 1), ("a1", 2), ("s2", 1), ("s3", 2)])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_bad_line_never_shows_a_wrong_wall(model: str, mode: int, seed: int) -> None:
+    """A fault a turn, of every kind, whole capsules twice among them: what is there is right, the rest not measured."""
+    room = BoxRoom()
+    fake = RplidarFake(model, room, first_deg=190.0)
+    answer, data = recorded(fake, mode, 3.0)
+    rng = random.Random(f"{model} {mode} {seed}")
+    size, turn = FORMATS[answer].size, round(len(data) / 30)
+    source, scans = reader(fake, answer), []
+    for index, at in enumerate(range(0, len(data) - turn, turn)):
+        group = data[at : at + turn]
+        if rng.random() < 0.3:
+            cut = rng.randrange(0, len(group) - 2 * size)
+            bad = group[: cut + size] + group[cut:]
+        else:
+            bad = damage(group, rng.choice(DAMAGES), rng)
+        scans += list(source.feed(bad, (index + 1) * 100_000_000))
+    assert 27 <= len(scans) <= 29
+    per_turn = 1e8 / fake.sample_ns
+    for scan in scans:
+        assert len(scan.ranges_m) == pytest.approx(per_turn, abs=0.01 * per_turn + 3)
+        assert np.quantile(error_m(scan, room), 0.99) <= (0.012 if answer == 0x84 else 0.003)
+        assert error_m(scan, room).max() <= (0.2 if answer == 0x84 else 0.003)  # the fake's ultra corners are rough
+        assert np.isfinite(scan.ranges_m).mean() >= 1.0 - 4.5 * FORMATS[answer].samples / per_turn
+    assert sum(int(np.isnan(scan.ranges_m).sum()) for scan in scans) <= 60 * FORMATS[answer].samples
+
+
 def test_lost_nodes_are_beams_not_measured() -> None:
     room = BoxRoom()
     fake = RplidarFake("c1", room, first_deg=190.0)
@@ -143,6 +173,24 @@ def test_lost_nodes_are_beams_not_measured() -> None:
     lost = np.isnan(scans[0].ranges_m)
     assert 20 <= lost.sum() <= 24
     assert all(error_m(scan, room).max() <= 0.0006 for scan in scans)
+
+
+@pytest.mark.parametrize("model", ["a1", "c1"])
+def test_bad_nodes_do_not_change_the_number_of_beams(model: str) -> None:
+    """One in forty is senseless; an A1's angles leap forward and back, and no leap back is a gap of a turn."""
+    room = BoxRoom(front_m=6.0)
+    fake = RplidarFake(model, room)
+    answer, data = recorded(fake, 0, 1.0)
+    spoiled = bytearray(data)
+    spoiled[20 * 5 :: 40 * 5] = b"\x03" * len(spoiled[20 * 5 :: 40 * 5])
+    source = reader(fake, answer)
+    scans = list(source.feed(bytes(spoiled), 1_000_000_000))
+    assert len(scans) == 9
+    for scan in scans:
+        assert len(scan.ranges_m) == pytest.approx(1e8 / fake.sample_ns, abs=6)
+        assert np.isnan(scan.ranges_m).mean() <= 0.06
+        assert error_m(scan, room).max() <= 0.0006
+    assert set(source.take_faults()) == {"senseless node"}
 
 
 @pytest.mark.parametrize(("model", "mode"), [("a1", 1), ("s2", 1)])

@@ -98,6 +98,22 @@ def test_lost_packets_are_beams_not_measured(first_lost: int, lost: int) -> None
     assert sum(int(np.isnan(scan.ranges_m).sum()) for scan in scans) == pytest.approx(gone, abs=2)
 
 
+@pytest.mark.parametrize("back", [1, 2, 4])
+def test_packets_that_come_again_are_no_second_turn(back: int) -> None:
+    fake = YdlidarFake("x4", first_deg=170.0)
+    sweep = BeamSweep(beam_ns=fake.sample_ns, range_min_m=0.1, range_max_m=10.0)
+    turn = YdSweep(fake.model, sweep, 78_125)
+    sent, time_ns = [], 0.0
+    for _ in range(75):
+        packet = fake.next_packet()
+        time_ns += packet.samples * fake.sample_ns
+        sent.append(packet._replace(arrival_ns=round(time_ns), chained=True))
+    again = [packet._replace(arrival_ns=sent[29].arrival_ns, chained=False) for packet in sent[30 - back : 30]]
+    scans = [scan for packet in [*sent[:30], *again, *sent[30:]] for scan in turn.add(packet)]
+    assert [len(scan.ranges_m) for scan in scans] == pytest.approx([714] * 3, abs=2)
+    assert not any(np.isnan(scan.ranges_m).any() for scan in scans)
+
+
 def test_stamps_are_when_it_was_measured(monkeypatch: pytest.MonkeyPatch) -> None:
     fake = YdlidarFake("x4", first_deg=180.0)
     lidar, link, _ = device(monkeypatch, fake)
