@@ -112,10 +112,11 @@ def drive(scene: Scene) -> dict[str, Any]:
         "run": scene.name,
         "renderer": scene.renderer,
         **judge(scene, ride),
+        "off_max_m": round(float(runtime.world.map.line_distance_m(np.array(ride.way)[:, 1:]).max()), 4),
         "sim_s": round(ride.way[-1][0], 2),
         "wall_s": round(wall_s, 3),
         "cpu_s": round(cpu_s, 3),
-        "way_m": [[round(x, 3), round(y, 3)] for _, x, y, _ in ride.way[::_KEPT]],
+        "way_m": [[round(x, 3), round(y, 3)] for _, x, y in ride.way[::_KEPT]],
     }
 
 
@@ -140,10 +141,10 @@ def _write(scene: Scene, folder: Path) -> list[str]:
 
 
 class _Ride:
-    """What happened: the true way (seconds, x, y, metres off the tape), the nodes that the behaviour announced."""
+    """What happened: the true way (seconds, x, y), the nodes that the behaviour announced and where it was then."""
 
     def __init__(self) -> None:
-        self.way: list[tuple[float, float, float, float]] = []
+        self.way: list[tuple[float, float, float]] = []
         self.events: list[tuple[str, float, float]] = []
         self.outcome: Outcome | None = None
         self.collisions = 0
@@ -154,7 +155,7 @@ class _Ride:
 
         def look() -> None:
             x_m, y_m, _ = running.world.pose()
-            self.way.append((loop.time(), x_m, y_m, running.world.off_line_m()))
+            self.way.append((loop.time(), x_m, y_m))
             self.collisions = running.world.collisions
             if node.instance is not None:
                 for name in node.instance.driver.visited[len(self.events) :]:
@@ -175,7 +176,7 @@ class _Ride:
 
 
 def judge(scene: Scene, ride: _Ride) -> dict[str, Any]:
-    """What the truth says: reached or not, how far off the tape, and nodes announced against nodes passed.
+    """What the truth says: reached or not, and nodes announced against nodes passed.
 
     A node event is wrong where another node is nearer than the one announced, or where the sequence of events differs
     from the sequence of nodes that the base's origin truly passed (within `NODE_M`).
@@ -184,7 +185,7 @@ def judge(scene: Scene, ride: _Ride) -> dict[str, Any]:
     goal = next(str(node["id"]) for node in scene.route["nodes"] if node["type"] == "end")
     names, spots = list(places), np.array(list(places.values()))
     passed: list[str] = []
-    for _, x_m, y_m, _ in ride.way:
+    for _, x_m, y_m in ride.way:
         apart = np.hypot(spots[:, 0] - x_m, spots[:, 1] - y_m)
         nearest = int(apart.argmin())
         if apart[nearest] <= NODE_M and passed[-1:] != [names[nearest]]:
@@ -202,7 +203,6 @@ def judge(scene: Scene, ride: _Ride) -> dict[str, Any]:
         "complete": outcome is not None and outcome.result == "SUCCEEDED" and off_goal_m <= NODE_M,
         "outcome": "no outcome" if outcome is None else f"{outcome.result}: {outcome.reason}",
         "off_goal_m": round(off_goal_m, 4),
-        "off_max_m": round(max(row[3] for row in ride.way), 4),
         "collisions": ride.collisions,
         "edges": len(true),
         "phantom": len(told) - matched + misplaced,

@@ -33,10 +33,15 @@ class Belief:
         """Odometer reading at which the next node is expected; nan at the end of the route."""
         return self.from_m + (self.counted_m + self.edge_m) / self.scale
 
+    @property
+    def unsure_m(self) -> float:
+        """Standard deviation of where the next node is, in metres of the map."""
+        return self.scale_std * (self.counted_m + self.edge_m)
+
     def half_window_m(self, tolerance_m: float) -> float:
         """How far from `expected_m` the next node may be found: never so far that its neighbours come into question."""
-        unsure_m = tolerance_m + 2.0 * self.scale_std * (self.counted_m + self.edge_m)
-        return min(unsure_m, max(_BAND_SHARE * self.edge_m, tolerance_m)) / self.scale
+        window_m = tolerance_m + 2.0 * self.unsure_m
+        return min(window_m, max(_BAND_SHARE * self.edge_m, tolerance_m)) / self.scale
 
     def progress_m(self, travelled_m: float) -> float:
         """Metres of the map from `node` on."""

@@ -80,6 +80,9 @@ class JetBotRouteConfig(Config):
     """Beyond that a node may be so far from where the map has it; what is seen elsewhere is no node."""
     distance_near_m: float = Field(default=0.10, ge=0.0, le=1.0)
     """The distance travelled speaks for a node within this of where the map has it."""
+    distance_sure_m: float = Field(default=0.05, ge=0.0, le=0.5)
+    """Where the distance is known to this (standard deviation), it is enough for a node that the sensors do not see; a
+    turn there still ends on a line, or fails."""
     road_heading_rad: float = Field(default=0.2, gt=0.0, le=1.57)
     """Roads are straight: while one is driven, a line that is off its direction by more is not it."""
     road_jump_m: float = Field(default=0.04, gt=0.0, le=0.5)

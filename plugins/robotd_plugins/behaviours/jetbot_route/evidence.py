@@ -27,12 +27,18 @@ class Votes:
 
 
 class Place:
-    """Something on the line ahead, by the odometer reading at which the axle will be over it."""
+    """Something on the line ahead, by the odometer reading at which the axle will be over it.
 
-    def __init__(self, needed: int, of: int, tolerance_m: float, sight_m: tuple[float, float]) -> None:
+    holds: once believed, not seeing it any more does not count against it; only seeing it elsewhere does.
+    """
+
+    def __init__(
+        self, needed: int, of: int, tolerance_m: float, sight_m: tuple[float, float], *, holds: bool = False
+    ) -> None:
         self._votes = Votes(needed, of)
         self._tolerance_m = tolerance_m
         self._sight_m = sight_m
+        self._holds = holds
         self._at_m = math.nan
         self._straight = 0
 
@@ -53,7 +59,8 @@ class Place:
         """
         if ahead_m is None or math.isnan(ahead_m):
             low_m, high_m = self._sight_m
-            if low_m <= self._at_m - travelled_m <= high_m:
+            held = self._holds and self._votes.believed
+            if not held and low_m <= self._at_m - travelled_m <= high_m:
                 self._votes.cast(False)
             return
         seen_at_m = travelled_m + ahead_m

@@ -27,17 +27,18 @@ class CueWeights(Config):
 class Cues:
     """Odometer readings over the node's centre, each by one cue; nan where that cue says nothing.
 
-    expected_m: by the map, half_window_m how far from it the node may be. travelled_m: now. unmarked: the node is one
-    that nothing can show, tape that goes straight on.
+    expected_m: by the map, half_window_m how far from it the node may be. unmarked: the node is one that nothing can
+    show, tape that goes straight on. sure: odometry has learned its scale so well that distance alone is good enough
+    where the sensors stay silent.
     """
 
     expected_m: float
     half_window_m: float
-    travelled_m: float
     bar_m: float = math.nan
     end_m: float = math.nan
     lidar_m: float = math.nan
     unmarked: bool = False
+    sure: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +53,7 @@ class NodeSeen:
 def fuse(cues: Cues, weights: CueWeights, near_m: float) -> NodeSeen | None:
     """The next node's place, from the best cue that there is, or None while they do not suffice.
 
-    Only cues within the window count; the distance counts while the robot is within `near_m` of the expected place.
+    Only cues within the window count; the distance counts for a place within `near_m` of the expected one.
     """
     if cues.unmarked:
         return NodeSeen(cues.expected_m, "by distance; the map has nothing to see there", seen=False)
@@ -67,7 +68,8 @@ def fuse(cues: Cues, weights: CueWeights, near_m: float) -> NodeSeen | None:
             named.append(name)
             at_m = place_m if math.isnan(at_m) else at_m
     if not named:
-        return None
+        # silence is no evidence against it: a shadow hides an arm, glare cuts one off
+        return NodeSeen(cues.expected_m, "distance; nothing of it was seen", seen=False) if cues.sure else None
     if abs(at_m - cues.expected_m) <= near_m:
         weight += weights.distance
         named.append("distance")

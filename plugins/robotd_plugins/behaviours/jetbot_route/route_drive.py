@@ -45,7 +45,7 @@ class RouteDrive:
         self.reason = "started"
         self.visited: list[str] = []
         """Nodes that the robot believes to have reached, in order; the start is not among them."""
-        self._tracker = Tracker(config, StraightCourse())
+        self._tracker = Tracker(config, StraightCourse(), mapped=True)
         self._ear = LidarEar(config)
         self._search = Search()
         self._turning: Turning | None = None
@@ -198,11 +198,11 @@ class RouteDrive:
         cues = Cues(
             belief.expected_m,
             belief.half_window_m(self.config.node_tolerance_m),
-            tracker.travelled_m,
             bar_m=tracker.crossing.at_m,
             end_m=tracker.end.at_m - self.config.stop_before_end_m,
             lidar_m=self._ear.at_m,
             unmarked=self._form() is NodeForm.PASSAGE,
+            sure=belief.unsure_m <= self.config.distance_sure_m,
         )
         return fuse(cues, self.config.cues, self.config.distance_near_m)
 

@@ -9,6 +9,9 @@ from robotd_plugins.behaviours.jetbot_route.compass import Turn
 from robotd_plugins.behaviours.jetbot_route.config import JetBotRouteConfig
 from robotd_plugins.behaviours.jetbot_route.states import State
 
+_LOST_SHARE = 2.0
+"""A line that is seen now and then, but never believed, is followed no farther than so many times `reacquire_m`."""
+
 
 @dataclass(frozen=True, slots=True)
 class RouteFacts:
@@ -68,7 +71,7 @@ def route_transition(state: State, facts: RouteFacts, config: JetBotRouteConfig)
         case State.REACQUIRING_LINE:
             if facts.line:
                 return State.DRIVING_STRAIGHT, "line found"
-            if facts.searched:
+            if facts.searched or facts.overdue_m > 0.0 or facts.in_state_m > _LOST_SHARE * config.reacquire_m:
                 return State.DEAD_END, (
                     f"the line from node {facts.node} to node {facts.next_node} was lost and is not to be found on "
                     "either side"

@@ -23,15 +23,18 @@ def _always(_: float) -> bool:
 
 
 class Tracker:
-    """The memory of one drive along lines. All `_m` readings are of its own odometer, `travelled_m`."""
+    """The memory of one drive along lines. All `_m` readings are of its own odometer, `travelled_m`.
 
-    def __init__(self, config: JetBotRouteConfig, course: Course) -> None:
+    mapped: a map confirms where crossings and ends are, so that one which was believed is held on to.
+    """
+
+    def __init__(self, config: JetBotRouteConfig, course: Course, *, mapped: bool = False) -> None:
         k, n = config.confirm_frames, config.of_frames
         self.config = config
         self.course = course
         self.line = Votes(k, n)
-        self.crossing = Place(k, n, config.place_tolerance_m, _SIGHT_M)
-        self.end = Place(k, n, config.place_tolerance_m, _SIGHT_M)
+        self.crossing = Place(k, n, config.place_tolerance_m, _SIGHT_M, holds=mapped)
+        self.end = Place(k, n, config.place_tolerance_m, _SIGHT_M, holds=mapped)
         self.odometry: Odometry | None = None
         self.travelled_m = 0.0
         self.turned_rad = 0.0

@@ -22,6 +22,11 @@ _BINS_SQUARED = _BINS * _BINS
 _TAPE_PIXELS_MIN = 0.004
 _FLOOR_RATIO_MIN = 0.80
 _SEPARATION_MIN = 0.18
+_DARKEST_SHARE = 0.25
+_DARKEST_WIDTH = 10
+_THIRD_SHARE = 0.15
+_PEAK_OVER_VALLEY = 4.0
+_SMOOTH = np.full(9, 1.0 / 9.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,8 +82,28 @@ def histogram(share: Bytes2D) -> Float64s:
     return cv2.calcHist([share], [0], None, [256], [0.0, 256.0]).ravel().astype(np.float64)
 
 
+def _valley(counts: Float64s, first: int, last: int) -> int:
+    """The threshold `last`, or the valley below it where a third class lies between tape and `last`: a shadow.
+
+    Otsu weighs two classes; a dark shadow beside the tape makes its answer lie above the shadow's pixels. Only a class
+    with a peak of its own counts, well above the valley that parts it from the darkest one.
+    """
+    below = np.cumsum(counts[: last + 1])
+    first = max(first, int(np.searchsorted(below, _DARKEST_SHARE * below[-1])) + _DARKEST_WIDTH)
+    if below[-1] <= 0.0 or first >= last:
+        return last
+    smooth = np.convolve(counts, _SMOOTH, mode="same")[first : last + 1]
+    lowest = float(smooth.min())
+    valley = round(float(np.flatnonzero(smooth <= lowest + 1e-9).mean()))
+    peak = float(smooth[valley:].max())
+    third = float(below[last] - below[first + valley])
+    if third < _THIRD_SHARE * below[-1] or peak < _PEAK_OVER_VALLEY * lowest:
+        return last
+    return first + valley
+
+
 def split(counts: Float64s, ratio_min: float, ratio_max: float) -> Split:
-    """Otsu's threshold on a histogram of shares, held to [ratio_min, ratio_max].
+    """Otsu's threshold on a histogram of shares, held to [ratio_min, ratio_max] and moved below a third class, a shadow.
 
     Refused with a reason: hardly any dark pixel; a floor that is not evenly bright (noise, no picture); two classes
     that are too alike.
@@ -98,6 +123,7 @@ def split(counts: Float64s, ratio_min: float, ratio_max: float) -> Split:
         return Split(math.nan, math.nan, float(weighted[-1]) / total / FULL, "nothing darker than the floor")
     # where many thresholds are equally good, the middle one is the safest
     at = first + round(float(np.flatnonzero(between >= best * (1.0 - 1e-9)).mean()))
+    at = _valley(counts, first, at)
     ratio = (at + 1) / FULL
     n_dark = float(below[at])
     n_light = total - n_dark
