@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from typing import ClassVar
 
 import pytest
@@ -26,6 +27,7 @@ from robotd import (
     needed,
 )
 from robotd.authoring.behaviour import StepResult
+from robotd.engine.parts import DevicePart
 from robotd.engine.runtime import Runtime
 from robotd.safety.operator import Arm, Disarm, EStop, ResetEStop, Resume, Teleop
 from robotd.world.messages import Mode
@@ -310,8 +312,6 @@ def test_stamps_from_the_future_or_the_past_are_faults(offset_ns: int, fault: st
 
     parts = robot(behaviour(Go))
     lidar = type(parts.devices[1])("lidar", Odd, parts.devices[1].config)
-    from dataclasses import replace
-
     runtime, _ = run(replace(parts, devices=(parts.devices[0], lidar)), 1.0)
     kept = next(kept for kept in runtime.devices if kept.name == "lidar")
     assert kept.faults == {fault: 1}
@@ -321,3 +321,14 @@ def test_two_runs_give_the_same_log_and_so_does_a_paced_one() -> None:
     logs = [run(robot(behaviour(Go), behaviour(Slower, 5)), 1.0, pace=pace)[1].log for pace in (None, None, 20.0)]
     assert logs[0] == logs[1] == logs[2]
     assert isinstance(run(robot(), 0.2)[1], FakeBase)
+
+
+def test_an_estop_reaches_the_base_first_and_as_what_it_is() -> None:
+    class Latches(FakeBase):
+        def estop(self) -> None:
+            self.log.append((self.context.clock.now_ns(), "estop"))
+
+    parts = robot(behaviour(Go))
+    parts = replace(parts, devices=(DevicePart("base", Latches, NoConfig()), *parts.devices[1:]))
+    _, base = run(parts, 2.0, (1.05, lambda r: r.core.request(EStop("button", "test"), round(1.05 * S))))
+    assert [what for ns, what in base.log if ns == 1_050_000_000] == ["estop", "halt"]

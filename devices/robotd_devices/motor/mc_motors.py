@@ -69,7 +69,7 @@ class McMotors(SerialMotor[McConfig, Steer]):
         self._car = self.body(Ackermann, "wheelbase_m: 0.257, track_m: 0.16, max_steering_rad: 0.436")
         self._parser = McParser()
         self._seq = 0
-        self._is_auto = self._has_answered = False
+        self._is_auto = self._has_answered = self._kills = False
         self._sign = -1 if self.config.steering_reversed else 1
 
     async def begin(self) -> None:
@@ -90,15 +90,19 @@ class McMotors(SerialMotor[McConfig, Steer]):
 
     def halt(self) -> None:
         self._is_auto = False
-        super().halt()
+        if self._line is not None:
+            self._line.stop(mc.kill() if self._kills else b"")
 
     def estop(self) -> None:
-        """The stop of an e-stop: with `kill_on_estop` it is followed by KILL, which the controller latches."""
-        self._is_auto = False
-        if self._line is not None:
-            self._line.stop(mc.kill() if self.config.kill_on_estop else b"")
+        """The stop of an e-stop: with `kill_on_estop` it is followed by KILL, which the controller latches.
+
+        So are the stops that repeat it, until the next command: somebody has armed the robot again by then.
+        """
+        self._kills = self.config.kill_on_estop
+        self.halt()
 
     def frame(self, command: Steer) -> bytes | None:
+        self._kills = False
         if command.speed_mps < self.config.still_mps:
             if command.speed_mps <= -self.config.still_mps:
                 self.context.link.fault("cannot reverse", f"{command.speed_mps:.2f} m/s was asked for: stopped")

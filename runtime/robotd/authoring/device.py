@@ -203,6 +203,10 @@ class Actuator(Device[ConfigT], Generic[ConfigT, CommandT]):
         """Stop now: drop what is unsent, write the stop. Never blocks, never raises."""
         raise NotImplementedError(f"{type(self).__qualname__}.halt")
 
+    def estop(self) -> None:
+        """The e-stop was pulled. By itself a stop; a controller with a latch of its own may be told to take it."""
+        self.halt()
+
     def stop_line(self) -> StopLine | None:
         """The stop as data, asked for after each `open`: the guardian writes it when this program no longer breathes.
 

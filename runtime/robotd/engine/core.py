@@ -180,6 +180,12 @@ class Core:
             log.info("refused %s: %s", type(request).__name__, answer.refused)
             return answer.refused
         was_estopped = self.operator.estop is not None
+        if answer.state.estop is not None and not was_estopped:
+            self._acting = True  # what the base says to it comes after this turn
+            try:
+                self.way_down.estop()
+            finally:
+                self._acting = False
         self._take(answer, now_ns)
         if answer.state.estop is not None and not was_estopped:
             self._emit(EStopped(now_ns, answer.state.estop.by, answer.state.estop.reason))

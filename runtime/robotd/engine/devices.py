@@ -125,6 +125,12 @@ class KeptDevice:
             assert isinstance(self.device, Actuator)
             self.device.halt()
 
+    def estop(self) -> None:
+        """The turn's answer to an e-stop."""
+        if self.state in ("open", "opening"):
+            assert isinstance(self.device, Actuator)
+            self.device.estop()
+
     async def keep(self, needed: bool, give_up_s: float, sleep: Callable[[float], Any] = asyncio.sleep) -> None:
         """Open, wait for the loss, close, and again; raises Unavailable or DeviceMisconfigured, both only at start."""
         loop = asyncio.get_running_loop()

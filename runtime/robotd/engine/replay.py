@@ -251,6 +251,9 @@ class Player:
     def halt(self) -> None:
         pass
 
+    def estop(self) -> None:
+        pass
+
     def call_at_ns(self, when_ns: int, callback: Callable[..., object], *args: object) -> object:
         return None
 

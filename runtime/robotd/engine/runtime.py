@@ -55,6 +55,9 @@ class _NoBase:
     def halt(self) -> None:
         pass
 
+    def estop(self) -> None:
+        pass
+
 
 class Runtime:
     """Built from checked parts, run once."""

@@ -32,6 +32,9 @@ class _Halted:
     def halt(self) -> None:
         self._base.halt()
 
+    def estop(self) -> None:
+        self._base.estop()
+
 
 class WayDown:
     """From standing proposals to the one write. It remembers what was written last, and nothing of the plugins."""
@@ -99,6 +102,10 @@ class WayDown:
         self._write(guarded.command, winner.by, guarded.limited_by, now_ns)
         changed, self.guard_reason = guarded.reason != self.guard_reason, guarded.reason
         return changed
+
+    def estop(self) -> None:
+        """Somebody pulled the e-stop: the base does what it has for that, before anything else."""
+        self._base.estop()
 
     def halt(self) -> None:
         """The way out: stop, whatever state the rest is in. From here on nothing drives or is written down."""
