@@ -144,7 +144,7 @@ def _two_flips(rng: random.Random) -> Callable[[list[bytes]], tuple[bytes, int]]
 
 def measure(ctx: Context) -> None:
     """corrupt_accepted, good_lost_per_fault, multibyte_over_theory."""
-    per_kind = 4_000 if ctx.quick else 200_000
+    per_kind = 10_000 if ctx.quick else 200_000
     flips = 50_000 if ctx.quick else 1_000_000
     for protocol in protocols():
         for kind in DAMAGES:
