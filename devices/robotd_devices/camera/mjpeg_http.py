@@ -5,19 +5,25 @@ from __future__ import annotations
 import asyncio
 import base64
 import contextlib
+import fcntl
 import re
+import struct
+import termios
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 from urllib.parse import SplitResult, quote, unquote, urljoin, urlsplit
 
 from robotd.authoring.device import DeviceMisconfigured, DeviceUnavailable
 from robotd.world.clock import Clock
-from robotd_devices.camera.mjpeg_parts import BrokenStream, Dechunker, PartSplitter
+from robotd_devices.camera.mjpeg_parts import BrokenStream, Dechunker, Part, PartSplitter
 from robotd_devices.camera.mjpeg_slot import JpegSlot
 
 OPEN_WITHIN_S = 5.0
 _MOST_HEAD_BYTES = 32 << 10
-_AT_ONCE = 64 << 10
+_AT_ONCE = 256 << 10
+_MOST_READS = 64
+"""So often at most a picture is held back for a newer one, should the camera be faster than we are."""
+_COUNT = struct.Struct("@i")
 _QUERY = "/%:@!$&'()*+,;=~-._?"
 _REDIRECTS = frozenset((301, 302, 303, 307, 308))
 
@@ -163,7 +169,8 @@ class MjpegStream:
         raise DeviceUnavailable(f"`source`: no stream from {self._shown}: {why}")
 
     async def _read(self, reader: asyncio.StreamReader, splitter: PartSplitter, chunks: Dechunker | None) -> None:
-        reason = "the stream ended"
+        reason, reads = "the stream ended", 0
+        newest: Part | None = None
         try:
             while not splitter.is_over and not (chunks is not None and chunks.is_over):
                 data = await reader.read(_AT_ONCE)
@@ -173,14 +180,27 @@ class MjpegStream:
                 if chunks is not None:
                     data = chunks.feed(data)
                 for part in splitter.feed(data, now_ns):
-                    self._slot.put(part.jpeg, part.began_ns)
+                    newest = part
+                    self._slot.count()
                 for fault in splitter.faults:
                     self._on_fault(fault, "in the stream")
                 splitter.faults.clear()
+                # the loop was away and a newer picture waits behind this one, which is old: not to be stamped as new
+                reads += 1
+                if newest is not None and (self._waiting() < len(newest.jpeg) or reads > _MOST_READS):
+                    self._slot.put(newest.jpeg, newest.began_ns)
+                    newest, reads = None, 0
         except (OSError, BrokenStream) as error:
             reason = _words(error)
         self._hang_up()
         self._slot.end(f"no picture came any more: {reason}")
+
+    def _waiting(self) -> int:
+        """Bytes that the kernel holds for us."""
+        if self._writer is None:
+            return 0
+        found = fcntl.ioctl(self._writer.get_extra_info("socket"), termios.FIONREAD, bytes(_COUNT.size))
+        return int(_COUNT.unpack(found)[0])
 
     def _hang_up(self) -> None:
         writer, self._writer = self._writer, None

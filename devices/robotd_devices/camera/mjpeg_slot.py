@@ -16,17 +16,21 @@ class JpegSlot:
     def __init__(self) -> None:
         self.number = 0
         self._come = threading.Condition()
-        self._count = 0
+        self._count = self._number = 0
         self._jpeg: bytes | None = None
         self._stamp_ns = 0
         self._end: str | None = None
         self._held = b""
         self._held_ns = 0
 
+    def count(self) -> None:
+        """One more picture came, whether it is put in or not."""
+        self._count += 1
+
     def put(self, jpeg: bytes, stamp_ns: int) -> None:
-        """A new picture; one that nobody took is forgotten."""
+        """The picture that was counted last; one that nobody took is forgotten."""
         with self._come:
-            self._count += 1
+            self._number = self._count
             self._jpeg, self._stamp_ns = jpeg, stamp_ns
             self._come.notify()
 
@@ -45,7 +49,7 @@ class JpegSlot:
             if self._jpeg is None:
                 raise DeviceLost(self._end or "")
             self._held, self._held_ns, self._jpeg = self._jpeg, self._stamp_ns, None
-            self.number = self._count
+            self.number = self._number
             return True
 
     def retrieve(self) -> tuple[bool, Any]:

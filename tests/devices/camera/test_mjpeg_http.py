@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import base64
+import os
+import threading
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -14,8 +16,9 @@ from robotd.authoring.device import DeviceMisconfigured, DeviceUnavailable
 from robotd.testing import FakeLink, ManualClock, check_sensor, connected
 from robotd.world.messages import CameraFrame
 from robotd_devices.camera import Camera, CameraConfig
-from robotd_devices.camera.mjpeg_http import parse_head, request
+from robotd_devices.camera.mjpeg_http import MjpegStream, parse_head, request
 from robotd_devices.camera.mjpeg_parts import BrokenStream
+from robotd_devices.camera.mjpeg_slot import JpegSlot
 
 
 def camera(url: str, **config: Any) -> tuple[Camera, FakeLink]:
@@ -56,16 +59,69 @@ async def test_pictures_and_the_end(in_chunks: bool) -> None:
     assert server.requests[0].startswith(b"GET /video?size=small HTTP/1.1\r\nHost: 127.0.0.1:")
 
 
-async def test_the_newest_picture_wins_and_gaps_show() -> None:
+class RecordingSlot(JpegSlot):
+    def __init__(self) -> None:
+        super().__init__()
+        self.puts: list[int] = []
+        self.news = asyncio.Event()
+
+    def put(self, jpeg: bytes, stamp_ns: int) -> None:
+        super().put(jpeg, stamp_ns)
+        self.grab()
+        self.puts.append(self.number)
+        self.news.set()
+
+
+async def test_of_what_waited_while_the_loop_was_away_the_newest_picture_is_the_only_one() -> None:
+    burst = b"".join(part(jpeg(number % 10, (240, 320))) for number in range(1, 30))
+    assert len(burst) > 512 << 10  # three reads and more
+    async with served() as server:
+        slot = RecordingSlot()
+        stream = MjpegStream(server.url, server.url, slot, ManualClock(), lambda name, detail: None)
+        await stream.open()
+        server.send(burst)
+        await slot.news.wait()
+        slot.news.clear()
+        server.send(part(jpeg(11)))
+        await slot.news.wait()
+        stream.stop()
+    assert slot.puts == [29, 30]
+
+
+async def test_numbers_that_are_missing_were_skipped() -> None:
     async with served() as server:
         device, link = camera(server.url)
         await device.open()
-        server.send(b"".join(part(jpeg(number)) for number in range(1, 10)))
-        await link.until(lambda link: bool(link.messages) and number_of(link.of(CameraFrame)[-1].bgr) == 9)
+        server.send(b"".join(part(jpeg(number)) for number in range(1, 8)))
+        await link.received(1)
+        server.send(part(jpeg(9)))
+        await link.until(lambda link: numbers(link)[-1] == 9)
         await device.close()
-    assert link.of(CameraFrame)[-1].sequence == 9
-    assert len(link.messages) < 9
-    assert numbers(link) == [frame.sequence for frame in link.of(CameraFrame)]
+    assert numbers(link) == [7, 9]
+    assert [frame.sequence for frame in link.of(CameraFrame)] == [7, 8]
+
+
+async def test_fifty_connections_leave_nothing_behind() -> None:
+    def held() -> tuple[int, int, int]:
+        files = len(os.listdir("/proc/self/fd")) if os.path.isdir("/proc/self/fd") else 0
+        return files, threading.active_count(), len(asyncio.all_tasks())
+
+    async with served() as server:
+        before = held()
+        device, link = camera(server.url)
+        for turn in range(50):
+            await device.open()
+            server.send(part(jpeg(turn % 10))[: None if turn % 2 else -400])
+            if turn % 2:
+                await link.received(turn // 2 + 1)
+            if turn % 3:
+                server.cut()
+            await device.close()
+            server.cut()
+        async with asyncio.timeout(5.0):
+            # what was closed last is still on its way out
+            while any(now > then for now, then in zip(held(), before, strict=True)):  # noqa: ASYNC110
+                await asyncio.sleep(0.001)
 
 
 class AskedClock(ManualClock):
