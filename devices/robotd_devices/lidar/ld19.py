@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import math
-from typing import Literal
 
 from pydantic import Field, model_validator
 
@@ -13,7 +12,7 @@ from robotd.authoring.device import DeviceContext, Sensor
 from robotd.world.messages import LidarScan
 from robotd_devices.lidar.ld_packets import LdParser
 from robotd_devices.lidar.ld_sweep import LdSweep
-from robotd_devices.ports.serial_port import SerialPort, SerialSettings, load_backend, serial_port
+from robotd_devices.ports.serial_port import Backend, SerialPort, SerialSettings, load_backend, serial_port
 
 _OFF_SPEED = 0.3
 
@@ -25,8 +24,8 @@ class Ld19Config(Config):
     """Serial port by its stable name, or a pattern that fits one; the default is the kit's own adapter."""
     baud: int = Field(default=230_400, ge=9_600, le=4_000_000)
     """Speed of the line; 230400 for LD06, LD19 and STL-19P, 921600 for STL-27L."""
-    backend: Literal["pyserial", "raw"] = "pyserial"
-    """How the port is read: pyserial (pyserial-asyncio) or raw (no library, lower latency)."""
+    backend: Backend = "pyserial"
+    """How the port is read: pyserial (pyserial-asyncio), serialx (its extra) or raw (no library, lower latency)."""
     range_min_m: float = Field(default=0.02, ge=0.0, le=1.0)
     """Nearer than this something is touching, in metres."""
     range_max_m: float = Field(default=12.0, gt=0.0, le=100.0)

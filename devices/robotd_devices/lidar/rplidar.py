@@ -18,7 +18,7 @@ from robotd_devices.lidar.dialogue import Dialogue
 from robotd_devices.lidar.rplidar_models import BAUDS
 from robotd_devices.lidar.rplidar_reader import RplidarReader
 from robotd_devices.lidar.rplidar_wire import Info
-from robotd_devices.ports.serial_port import SerialSettings, load_backend, serial_port
+from robotd_devices.ports.serial_port import Backend, SerialSettings, load_backend, serial_port
 
 _LOOK_S = 0.1
 #: A motor needs this long from standstill to its speed; until then no scan is missed.
@@ -32,8 +32,8 @@ class RplidarConfig(Config):
     """Serial port by its stable name, or a pattern that fits one; the default is the kit's own adapter."""
     baud: int | Literal["auto"] = "auto"
     """Speed of the line; auto tries 115200 (A1, A2M8), 256000 (A2M12, A3, S1), 460800 (C1), 1000000 (S2, S3)."""
-    backend: Literal["pyserial", "raw"] = "pyserial"
-    """How the port is read: pyserial (pyserial-asyncio) or raw (no library, lower latency)."""
+    backend: Backend = "pyserial"
+    """How the port is read: pyserial (pyserial-asyncio), serialx (its extra) or raw (no library, lower latency)."""
     mode: str = Field(default="auto", min_length=1)
     """Scan mode by the device's own name (Boost, DenseBoost...), standard, or auto: the best that has a checksum."""
     motor: Literal["auto", "dtr", "pwm", "rpm", "none"] = "auto"

@@ -18,7 +18,7 @@ from robotd_devices.lidar.dialogue import Dialogue
 from robotd_devices.lidar.ydlidar_models import MODELS
 from robotd_devices.lidar.ydlidar_packets import YdParser
 from robotd_devices.lidar.ydlidar_sweep import YdSweep
-from robotd_devices.ports.serial_port import SerialSettings, load_backend, serial_port
+from robotd_devices.ports.serial_port import Backend, SerialSettings, load_backend, serial_port
 
 _FIRST_S = 3.0
 """A motor needs this long from standstill to its speed; until then no packet is missed."""
@@ -33,8 +33,8 @@ class YdlidarConfig(Config):
     """Which lidar it is: the packets do not say, and samples are read differently."""
     baud: int | None = Field(default=None, ge=9_600, le=4_000_000)
     """Speed of the line; by default the model's."""
-    backend: Literal["pyserial", "raw"] = "pyserial"
-    """How the port is read: pyserial (pyserial-asyncio) or raw (no library, lower latency)."""
+    backend: Backend = "pyserial"
+    """How the port is read: pyserial (pyserial-asyncio), serialx (its extra) or raw (no library, lower latency)."""
     rotation_hz: float = Field(default=7.0, ge=2.0, le=20.0)
     """Revolutions a second that are expected; 7 as the X4 comes."""
     range_min_m: float = Field(default=0.1, ge=0.0, le=1.0)
