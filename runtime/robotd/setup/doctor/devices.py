@@ -21,6 +21,11 @@ MEDDLERS: Mapping[str, str] = {"ModemManager": "modem manager", "brltty": "brail
 """Programs that speak to serial adapters unasked, to their rows of the table."""
 
 
+def _is_path(source: str) -> bool:
+    """Whether a camera's source is something in the file system or on the network, and no pipeline (or short for one)."""
+    return " ! " not in source and source.partition(":")[0] not in ("csi", "libcamera")
+
+
 def needs(config: Config) -> list[Need]:
     """What of the machine a device's config names: by the keys `port`, `bus`, `source` and `path`, and by `FileKey`."""
     wanted: list[Need] = []
@@ -33,7 +38,7 @@ def needs(config: Config) -> list[Need]:
             wanted.append(Need("serial port", text, key))
         elif key == "bus":
             wanted.append(Need("I2C bus", f"/dev/i2c-{text}" if text.isdigit() else text.removeprefix("unix:"), key))
-        elif key == "source" and " ! " not in text:  # a pipeline names its own source, in its own words
+        elif key == "source" and _is_path(text):
             kind: NeedKind = "network camera" if urlsplit(text).scheme in _URL_PORTS else "camera"
             wanted.append(Need(kind, f"/dev/video{text}" if text.isdigit() else text, key))
         elif key == "path" and text.startswith("/dev/input/"):
