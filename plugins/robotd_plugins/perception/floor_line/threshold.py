@@ -103,7 +103,7 @@ def _valley(counts: Float64s, first: int, last: int) -> int:
 
 
 def split(counts: Float64s, ratio_min: float, ratio_max: float) -> Split:
-    """Otsu's threshold on a histogram of shares, held to [ratio_min, ratio_max] and moved below a third class, a shadow.
+    """Otsu's threshold on a histogram of shares, within [ratio_min, ratio_max], below a third class (a shadow).
 
     Refused with a reason: hardly any dark pixel; a floor that is not evenly bright (noise, no picture); two classes
     that are too alike.
