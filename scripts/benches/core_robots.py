@@ -76,11 +76,11 @@ class FrameView(View):
 
 
 class Spot(Perceptor[NoConfig, FrameView, Target]):
-    """The cheapest look at a picture that is still one: a few of its pixels."""
+    """The cheapest look at a picture that is still one: a few of its pixels. No two answers in a row are the same."""
 
     def step(self, seen: FrameView) -> Target | None:
         level = int(seen.frame.bgr[240, 320, 1])
-        return Target(seen.frame.stamp_ns, 0.0, 1.0 + level / 255.0)
+        return Target(seen.frame.stamp_ns, 0.0, 1.0 + level / 255.0 + 0.01 * (seen.frame.sequence % 2))
 
 
 class SlowConfig(Config):
@@ -282,9 +282,11 @@ class BeatingCamera(_Beating, Sensor[StampedConfig, CameraFrame]):
     def _prepare(self) -> None:
         self._picture = np.zeros((*self.config.shape, 3), np.uint8)
         self._picture.flags.writeable = False
+        self._sequence = 0
 
     def message(self, now_ns: int) -> CameraFrame:
-        return CameraFrame(now_ns, self._picture)
+        self._sequence += 1
+        return CameraFrame(now_ns, self._picture, self._sequence)
 
 
 class BeatingLidar(_Beating, Sensor[StampedConfig, LidarScan]):
