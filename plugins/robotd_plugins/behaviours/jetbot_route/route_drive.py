@@ -277,22 +277,16 @@ class RouteDrive:
     def _begin_turn(self, before: State) -> None:
         """Turn to the planned road; looking about for a line that is not there is a turn by nothing, with its slack."""
         config, tracker = self.config, self._tracker
-        turn = self._turn
-        assert turn is not None
-        angle_rad = 0.0
+        assert self._turn is not None and tracker.odometry is not None
+        # what the robot is off the road it stands on belongs to the turn
+        angle_rad = math.remainder(tracker.course.rad - tracker.odometry.yaw_rad, math.tau)
         if before is State.HANDLING_EVENT:
-            angle_rad = turn.angle_rad
-            tracker.course.begin(tracker.course.rad + angle_rad / self._belief.scale)
-            self._heading = self._heading.after(turn)
-        assert tracker.odometry is not None
-        left_rad = math.remainder(tracker.course.rad - tracker.odometry.yaw_rad - angle_rad, math.tau)
+            by_odometry_rad = self._turn.angle_rad / self._belief.scale
+            angle_rad += by_odometry_rad
+            tracker.course.begin(tracker.course.rad + by_odometry_rad)
+            self._heading = self._heading.after(self._turn)
         self._tries += 1
-        settings = TurnSettings(
-            angle_rad / self._belief.scale + left_rad,
-            config.turn_slack_rad,
-            config.turn_speed_radps,
-            config.reacquire_heading_rad,
-        )
+        settings = TurnSettings(angle_rad, config.turn_slack_rad, config.turn_speed_radps, config.reacquire_heading_rad)
         self._turning = Turning(settings, tracker.turned_rad)
 
     def _validate(self, before: State) -> None:

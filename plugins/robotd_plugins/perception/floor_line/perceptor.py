@@ -14,6 +14,8 @@ from robotd_plugins.toolkit.floor_view import FloorView
 from robotd_plugins.toolkit.line_seen import CrossingBar, LineEnd, LineSeen, RoiLine
 
 _FRESH_S = 0.25
+_LEAVES_X = 0.8
+"""A line that was last seen farther aside than this goes out of the picture: others may be looked for at once."""
 _BOTH_ARMS = 1.0
 _ONE_ARM = 0.6
 
@@ -50,7 +52,7 @@ class FloorLine(Perceptor[FloorLineConfig, Sees, LineSeen]):
         height, width = frame.bgr.shape[:2]
         if (width, height) != (self._grid.width_px, self._grid.height_px):
             self._grid = Grid.of(width, height, config.look_from_share)
-        in_memory = not math.isnan(self._last_x) and frame.stamp_ns - self._last_ns <= config.focus_memory_s * 1e9
+        in_memory = abs(self._last_x) <= _LEAVES_X and frame.stamp_ns - self._last_ns <= config.focus_memory_s * 1e9
         self._look = found = look(frame.bgr, self._grid, config, self._last_x if in_memory else None)
         self._said = said = self._message(found, frame)
         if said.near.is_seen:
