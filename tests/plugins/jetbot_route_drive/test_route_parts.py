@@ -14,6 +14,8 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from robotd.authoring.device import DeviceMisconfigured
+from robotd.setup.load import load_config
+from robotd.setup.problems import ConfigError
 from robotd.testing import open_scan
 from robotd_plugins.behaviours.jetbot_route import JetBotRoute, JetBotRouteConfig, JetBotRouteGoal
 from robotd_plugins.behaviours.jetbot_route.belief import Belief
@@ -181,6 +183,13 @@ def test_a_wrong_map_is_refused_with_its_place(tmp_path: Path) -> None:
     file = _route(tmp_path, end_node="Z")
     with pytest.raises(ValidationError, match=r"route\.json:\d+:\d+: end_node: .*\[goal_unknown\]"):
         JetBotRouteConfig(map=file)
+
+
+def test_a_map_that_is_not_there_is_told_once_with_what_there_is() -> None:
+    with pytest.raises(ConfigError) as refused:
+        load_config("jetbot", sim=True, sets=("behaviours.jetbot_route.map=route_14",))
+    (problem,) = refused.value.problems
+    assert (problem.path, problem.hint) == ("behaviours.jetbot_route.map", "did you mean 'route_13'?")
 
 
 def test_a_map_that_went_bad_after_the_check_is_refused_at_load(tmp_path: Path) -> None:
