@@ -107,12 +107,13 @@ def drive(scene: Scene) -> dict[str, Any]:
         runtime = Runtime(replace(parts, bridges=()), virtual=True, arm=True)
         with asyncio.Runner(loop_factory=lambda: virtual_loop(None)) as runner:
             runner.run(runtime.run(ride.begin))
+        world: Any = runtime.world
         wall_s, cpu_s = time.perf_counter() - began, time.process_time() - cpu
     return {
         "run": scene.name,
         "renderer": scene.renderer,
         **judge(scene, ride),
-        "off_max_m": round(float(runtime.world.map.line_distance_m(np.array(ride.way)[:, 1:]).max()), 4),
+        "off_max_m": round(float(world.map.line_distance_m(np.array(ride.way)[:, 1:]).max()), 4),
         "sim_s": round(ride.way[-1][0], 2),
         "wall_s": round(wall_s, 3),
         "cpu_s": round(cpu_s, 3),
