@@ -181,7 +181,7 @@ def _tyre(linear: float, limit: float) -> float:
     if limit <= 1e-6:
         return 0.0
     share = abs(linear) / limit
-    return linear / (1.0 + share**_BEND) ** (1.0 / _BEND)
+    return linear / math.pow(1.0 + math.pow(share, _BEND), 1.0 / _BEND)
 
 
 def _linear(linear: float, limit: float) -> float:

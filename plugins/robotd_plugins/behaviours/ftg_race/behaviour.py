@@ -1,0 +1,119 @@
+"""The behaviour: perception, planning and commanding in a row, once a scan."""
+
+from __future__ import annotations
+
+import math
+
+from robotd import Behaviour, Failed, LidarScan, Odometry, Steer, View, every, latest
+from robotd.authoring.behaviour import StepResult
+from robotd.authoring.explain import Explanation, Scalar, Text
+from robotd.world.clock import NS_PER_S
+from robotd.world.robot import Robot
+from robotd_plugins.behaviours.ftg_race.body import body_of
+from robotd_plugins.behaviours.ftg_race.commanding import (
+    GRAVITY_MPS2,
+    SpeedPolicy,
+    SteeringSmoother,
+    iir_time_constant_s,
+)
+from robotd_plugins.behaviours.ftg_race.config import FtgRaceConfig, RaceGoal
+from robotd_plugins.behaviours.ftg_race.perception import ScanPreprocessor
+from robotd_plugins.behaviours.ftg_race.planner_baseline import PlannerBaseline
+from robotd_plugins.behaviours.ftg_race.planner_ftg import planner_of
+from robotd_plugins.behaviours.ftg_race.planning_types import Command, Motion, Planner
+from robotd_plugins.behaviours.ftg_race.recovery import Recovery, State
+
+_CYCLE_S = 0.1
+"""The seed's loop, to which its filter's beta belongs."""
+_ALL_ROUND_RAD = math.pi
+
+
+class Sees(View):
+    """Each scan wakes a step. Without odometry the speed is taken for what was commanded."""
+
+    scan: LidarScan = every(within_s=0.25)
+    odometry: Odometry | None = latest(within_s=0.25)
+
+
+class FtgRace(Behaviour[FtgRaceConfig, Sees, RaceGoal]):
+    """Races without a map. FAILED where it is stuck for good."""
+
+    emits = Steer
+
+    def __init__(self, config: FtgRaceConfig, goal: RaceGoal | None = None, robot: Robot | None = None) -> None:
+        super().__init__(config, goal, robot)
+        self._body = body_of(self.robot, config.vehicle_width_m)
+        grip = config.mu * GRAVITY_MPS2
+        self._policy = SpeedPolicy(
+            top_mps=config.v_max_mps,
+            stop_distance_m=config.stop_distance_m,
+            front_gain_ps=config.front_gain_ps,
+            steer_slowdown_mps_per_rad=config.steer_slowdown_mps_per_rad,
+            target_gain_ps=config.target_gain_ps,
+            accel_mps2=min(config.accel_mps2, 0.95 * grip),
+            brake_mps2=min(config.brake_mps2, 0.95 * grip),
+            grip_mps2=0.972 * grip,
+            accel_response_s=config.accel_response_s,
+            brake_response_s=config.brake_response_s,
+            settle_s=0.06,
+        )
+        smoother = SteeringSmoother(
+            self._body, iir_time_constant_s(config.steer_iir_beta, _CYCLE_S), config.steer_rate_radps
+        )
+        self._planner: Planner = (
+            PlannerBaseline(config, self._body, self._policy)
+            if config.planner == "baseline"
+            else planner_of(config, self._body, self._policy, smoother)
+        )
+        is_seed = config.planner == "baseline" or config.method == "patches"
+        self._preprocessor = ScanPreprocessor(
+            config.angle_step_rad, config.fov_rad if is_seed else _ALL_ROUND_RAD, config.range_min_m,
+            config.range_max_m, config.median_bins, config.confirm_single,
+        )  # fmt: skip
+        self._recovery = Recovery(config, self._body)
+        self._stamp_ns: int | None = None
+        self._period_s = _CYCLE_S
+        self._told = Command(0.0, 0.0)
+        self._planned = self._told
+
+    def step(self, seen: Sees) -> StepResult:
+        motion = self._motion(seen)
+        scan = self._preprocessor.process(seen.scan, motion)
+        planned = self._planner.plan(scan)
+        command = self._recovery.step(scan, planned)
+        if self._recovery.state is State.FAILED:
+            return Failed(f"stuck: tried {self.config.retries} times to back off from a wall in one place")
+        speed = command.speed_mps
+        if speed > 0.0:
+            lateral = max(
+                abs(motion.speed_mps * motion.yaw_rate_radps), abs(command.curvature_pm) * motion.speed_mps**2
+            )
+            speed = self._policy.ramp(speed, motion.speed_mps, self._told.speed_mps, lateral, motion.period_s)
+        self._planned = command
+        self._told = Command(speed, command.steering_rad, command.curvature_pm, command.free_m, command.is_blocked)
+        return Steer(speed, command.steering_rad)
+
+    def _motion(self, seen: Sees) -> Motion:
+        """The car's motion now; the period adapts to the scans as they come."""
+        scan = seen.scan
+        if self._stamp_ns is not None and scan.stamp_ns > self._stamp_ns:
+            passed = min((scan.stamp_ns - self._stamp_ns) / NS_PER_S, 0.3)
+            # at once where they come slower, gently where they come faster
+            self._period_s = max(passed, self._period_s + 0.2 * (passed - self._period_s))
+        self._stamp_ns = scan.stamp_ns
+        told = self._told
+        if seen.odometry is not None:
+            v, w = seen.odometry.vx_mps, seen.odometry.wz_radps
+        else:
+            v, w = told.speed_mps, told.speed_mps * told.curvature_pm
+        age = max(0.0, (seen.now_ns - scan.stamp_ns) / NS_PER_S)
+        sweep = max(0.0, (scan.stamp_ns - scan.start_ns) / NS_PER_S) if scan.start_ns else 0.0
+        return Motion(v, w, age, self._period_s, min(sweep, 0.3), told.curvature_pm)
+
+    def explain(self) -> Explanation:
+        return (
+            *self._planner.explain(),
+            Text("state", self._recovery.state.value),
+            Scalar("speed told", self._told.speed_mps, "m/s"),
+            Scalar("steering told", self._told.steering_rad, "rad"),
+        )
