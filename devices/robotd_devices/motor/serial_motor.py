@@ -28,6 +28,9 @@ from robotd_devices.motor.serial_motor_line import MakePort, MotorLine
 from robotd_devices.motor.serial_motor_odometry import PoseSum
 from robotd_devices.ports.serial_port import Backend, SerialSettings, load_backend, serial_port
 
+_ASK_AGAIN_S = 0.005
+"""Until a question that a stop was in the way of is tried again."""
+
 
 class SerialMotorConfig(Config):
     """Parameters that every motor controller on a serial line has; each driver sets its own defaults."""
@@ -162,10 +165,11 @@ class SerialMotor(Actuator[SerialConfigT, CommandT], Generic[SerialConfigT, Comm
                         f"{self.context.name}: no answer on {self.path} at {self.config.baud} baud for "
                         f"{self.config.answer_s:g} s: {hint}"
                     )
-                self.ask(question)
+                # a robot that stands repeats its stop, and may do so in step with the question: then ask soon after it
+                wait_s = every_s if self.ask(question) else min(every_s, _ASK_AGAIN_S)
                 event.clear()
                 try:
-                    async with asyncio.timeout(min(every_s, left_s)):
+                    async with asyncio.timeout(min(wait_s, left_s)):
                         while not (answered() or self._why_lost):
                             await event.wait()
                             event.clear()

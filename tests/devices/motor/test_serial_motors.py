@@ -261,6 +261,25 @@ async def test_silent_controller_is_a_loss_and_a_stop(case: Case) -> None:
 
 
 @virtual_time
+async def test_stops_in_step_with_its_questions_do_not_keep_it_shut(case: Case) -> None:
+    """A robot that stands repeats its stop, and for a moment after each of them no question may be written."""
+    _, device, _, _ = made(case)
+    loop = asyncio.get_running_loop()
+    until_s = loop.time() + 3.0
+
+    def stop_again() -> None:
+        device.halt()
+        if loop.time() < until_s:
+            loop.call_later(0.05, stop_again)
+
+    stop_again()
+    began_s = loop.time()
+    await device.open()
+    assert loop.time() - began_s < case.boot_s + 0.5
+    await device.close()
+
+
+@virtual_time
 async def test_loss_while_opening_is_known_at_once(case: Case) -> None:
     fake, device, _, line = made(case)
     fake.is_mute = True
