@@ -19,8 +19,8 @@ from robotd.engine.parts import Parts
 from robotd.engine.record_file import read_record
 from robotd.engine.replay import known_classes
 from robotd.safety.operator import EStop, Start
-from robotd.setup.load import load_config
 from robotd.setup.exit_codes import MissingExtra
+from robotd.setup.load import load_config
 from robotd.setup.plot import Run, Span, draw, gather
 from robotd.setup.recording import open_journal
 

@@ -22,7 +22,7 @@ MEDDLERS: Mapping[str, str] = {"ModemManager": "modem manager", "brltty": "brail
 
 
 def _is_path(source: str) -> bool:
-    """Whether a camera's source is something in the file system or on the network, and no pipeline (or short for one)."""
+    """Whether a camera's source is something in the file system or on the network, and no pipeline."""
     return " ! " not in source and source.partition(":")[0] not in ("csi", "libcamera")
 
 
