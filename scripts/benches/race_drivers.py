@@ -12,7 +12,17 @@ from robotd.world.robot import Robot
 from robotd_devices.sim.single_track import F1TENTH, TT02D, RaceCar
 from robotd_plugins.behaviours.ftg_race import FtgRace, FtgRaceConfig, Sees
 
-TT02D_KEYS: dict[str, Any] = {}
+TT02D_KEYS: dict[str, Any] = {
+    "v_max_mps": 5.0,
+    "mu": 0.85,
+    "accel_mps2": 4.0,
+    "brake_mps2": 4.5,
+    "accel_response_s": 0.167,
+    "brake_response_s": 0.1,
+    "actuation_s": 0.12,
+    "rear_slip_rad_per_mps2": 0.022,
+    "can_reverse": False,
+}
 """Config keys of the TT-02D, as in configs/tt02d.yaml."""
 
 

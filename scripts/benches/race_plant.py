@@ -153,6 +153,8 @@ class Race:
 
     def __init__(self, ground: Ground, car: RaceCar, conditions: Conditions) -> None:
         self.ground, self.car, self.conditions = ground, car, conditions
+        self.at_m = 0.0
+        """Where base is, along x of the map."""
         self._rng = np.random.default_rng(conditions.seed)
         shares = np.linspace(-0.5, 0.5, conditions.beams)
         self._angles = (shares * conditions.fov_rad).astype(np.float32)
@@ -212,6 +214,7 @@ class Race:
             twist = track.step()
             x, y, yaw = advance(x, y, yaw, twist, step_s)
             now += step_ns
+            self.at_m = x
             steps += 1
             poses.append((x, y, yaw))
             if len(poses) > 2 * keep:
@@ -228,7 +231,7 @@ class Race:
             run.top_mps = max(run.top_mps, v)
             free -= (math.hypot(twist.vx_mps, twist.vy_mps) + abs(twist.wz_radps) * 2.0 * self._radius) * step_s
             if free <= 0.02 or free < run.clearance_m:
-                free = self._clearance(x, y, yaw)
+                free = self.clearance_m(x, y, yaw)
                 run.clearance_m = min(run.clearance_m, free)
                 if free <= 0.0:
                     run.crashed = f"contact at {x:.2f}, {y:.2f} after {now / NS:.2f} s, {v:.2f} m/s"
@@ -278,7 +281,8 @@ class Race:
             c.range_max_m, self.lidar_x_m,
         )  # fmt: skip
 
-    def _clearance(self, x: float, y: float, yaw: float) -> float:
+    def clearance_m(self, x: float, y: float, yaw: float) -> float:
+        """Of the whole outline at a pose of base; at most the true one."""
         cos, sin = math.cos(yaw), math.sin(yaw)
         mx, my = x + cos * self._mid_x, y + sin * self._mid_x
         wide = self.ground.distance_m(mx, my) - self._radius

@@ -3,7 +3,8 @@
 Evans, Trumpp, Caccamo, Jahncke, Betz, Jordaan, Engelbrecht, Unifying F1TENTH Autonomous Racing: Survey, Methods and
 Benchmarks (arXiv 2402.18558), section on the follow-the-gap method: smooth the scan, clear a bubble of beams about the
 nearest return, take a gap, steer half the bearing of its deepest (averaged) beam, and choose one of three speeds by
-the steering. Bubble 160 beams, windows of 3 and 80 beams, 10 m as in its published parameters.
+the steering. Bubble 160 beams, windows of 3 and 80 beams, 10 m, 5, 5 and 3 m/s
+as in its published parameters.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ class PlainFollowTheGap:
 
     def __init__(
         self,
-        speeds_mps: tuple[float, float, float] = (8.0, 7.0, 5.0),
+        speeds_mps: tuple[float, float, float] = (5.0, 5.0, 3.0),
         angles_rad: tuple[float, float] = (0.0785, 0.174),
     ) -> None:
         self._speeds_mps = speeds_mps

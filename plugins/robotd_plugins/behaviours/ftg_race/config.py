@@ -13,7 +13,7 @@ from robotd.authoring.config import Goal
 
 SEED_SAFE: Final[Mapping[str, Any]] = {
     "method": "patches",
-    "angle_step_rad": math.radians(1.0),
+
     "median_bins": 3,
     "vehicle_width_m": 0.190,
     "safety_margin_m": 0.030,
@@ -43,7 +43,7 @@ class FtgRaceConfig(Config):
 
     fov_rad: float = Field(default=math.pi / 2.0, gt=0.3, le=math.pi)
     """Half the field of view in which it plans (fov_min_deg, fov_max_deg)."""
-    angle_step_rad: float = Field(default=math.radians(0.5), ge=math.radians(0.25), le=math.radians(3.0))
+    angle_step_rad: float = Field(default=math.radians(1.0), ge=math.radians(0.25), le=math.radians(3.0))
     """Width of a bin of bearing (angle_step_deg)."""
     range_min_m: float = Field(default=0.150, ge=0.0, le=1.0)
     """What is nearer is touching (range_min_mm)."""
@@ -58,7 +58,7 @@ class FtgRaceConfig(Config):
 
     vehicle_width_m: float | None = Field(default=None, gt=0.05, le=2.0)
     """In place of the footprint's (vehicle_width_mm); TT-02D: 0.182 or 0.190."""
-    safety_margin_m: float = Field(default=0.090, ge=0.0, le=0.5)
+    safety_margin_m: float = Field(default=0.100, ge=0.0, le=0.5)
     """Beside the car (safety_margin_mm)."""
 
     free_threshold_m: float = Field(default=0.700, gt=0.0, le=10.0)
@@ -108,6 +108,9 @@ class FtgRaceConfig(Config):
     understeer_rad_per_mps2: float = Field(default=0.003, ge=-0.05, le=0.1)
     """The front wheels are turned farther by this for each m/s^2 of lateral acceleration."""
 
+    yaw_gain_s: float = Field(default=0.03, ge=0.0, le=0.5)
+    """The front wheels are turned farther by this for each rad/s of yaw rate that is missing, and back for too much."""
+
     steer_iir_beta: float = Field(default=1.0, gt=0.0, le=1.0)
     """Share of a new steering angle that is taken over in one cycle of 0.1 s; 1: all."""
     steer_rate_radps: float = Field(default=0.0, ge=0.0, le=50.0)
@@ -115,7 +118,7 @@ class FtgRaceConfig(Config):
 
     curvatures: int = Field(default=8, ge=3, le=12)
     """`free_space`: bends of the fan to each side."""
-    bends_m: tuple[float, ...] = (0.5, 1.0, 1.8, 3.0)
+    bends_m: tuple[float, ...] = (1.0, 2.0)
     """`free_space`: where the second bend may begin."""
     reach_m: float = Field(default=10.0, ge=2.0, le=20.0)
     """`free_space`: length of the paths."""

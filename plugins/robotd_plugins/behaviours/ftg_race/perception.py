@@ -19,7 +19,7 @@ _ALONE_M = 0.3
 class ScanPreprocessor:
     """Bins of `step_rad`, the nearest return of each, from right to left over -fov_rad to fov_rad.
 
-    Bins in which the lidar has no beam are left out. A range below `range_min_m` becomes 0: something is touching there.
+    Bins without a beam of this lidar are left out. A range below `range_min_m` becomes 0: something touches there.
     median: ranges are smoothed over so many bins, towards nearer only (1: not at all). confirm: a return that stands
     alone, much nearer than both neighbours and than its bin in the scan before, counts only when it is seen again.
     """
@@ -63,7 +63,7 @@ class ScanPreprocessor:
             ranges = self._confirmed(ranges)
         if self._median > 1:
             windows = np.lib.stride_tricks.sliding_window_view(np.pad(ranges, self._median // 2, "edge"), self._median)
-            ranges = np.minimum(ranges, np.median(windows, axis=1).astype(np.float64))
+            ranges = np.fmin(ranges, np.asarray(np.median(windows, axis=1), dtype=np.float64))
         return Scan(
             self._bearing, ranges, state, self._unit, self._share, self._step_rad, most_m, scan.x_m, scan.y_m, motion
         )
@@ -100,7 +100,7 @@ class ScanPreprocessor:
 def _fill(
     ranges: Float64s, state: NDArray[np.int8], missing: NDArray[np.bool_], most_bins: int
 ) -> tuple[Float64s, NDArray[np.int8]]:
-    """Narrow holes take the nearer of their two neighbours. Wide ones, and holes at the edge, are MISSING, and as near as
+    """Narrow holes take the nearer of their two neighbours. Wide ones, and holes at the edge, are MISSING, as near as
     their neighbours or a metre; where nothing at all was measured, 0.
     """
     n = len(ranges)

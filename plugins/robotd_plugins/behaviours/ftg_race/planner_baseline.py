@@ -1,4 +1,4 @@
-"""The rule before follow-the-gap (the seed's `Process`), to compare with: away from the nearest, fast to the farthest."""
+"""The rule before follow-the-gap (the seed's `Process`), to compare with: away from the nearest return."""
 
 from __future__ import annotations
 

@@ -25,6 +25,11 @@ _OVER_FROM, _OVER_TO = 0.02, 0.17
 _TURN_SHARE, _BRAKE_TURN_SHARE = 0.923, 0.68
 """Of the grip, for steering; of it while much too fast."""
 _CIRCLE_SHARE = 0.972
+_TIGHT_PM, _OTHER_PM = 0.5, 0.15
+"""The margin of the fan covers the corners of the outline in gentler bends than this, and arcs that are no more unlike
+the chosen one; beyond, the outline is followed along the arc that is really steered."""
+_SLOW_MPS = 1.0
+_HAIR_M = 0.005
 _NEAR_M = 0.03
 """Clearance of the real outline on the way that is steered."""
 
@@ -48,6 +53,7 @@ class PlannerFTG:
         self._fan = Fan(body.least_radius_m, config.reach_m, config.curvatures, config.bends_m)
         self._space = FreeSpace()
         self._outline = body.wider(_NEAR_M)
+        self._beside_m = (body.front_m - body.rear_m) / 2.0
         self._profile: Float64s = np.zeros(2 * HALF + 1)
         self._frame = (0.0, 0.0, 0.0)
         self._chosen = (0, 0.0)
@@ -64,10 +70,18 @@ class PlannerFTG:
         config, motion = self._config, scan.motion
         v = motion.speed_mps
         x, y = self._points(scan)
-        reach = self._body.half_width_m + config.safety_margin_m
-        profile = self._space.profile(x, y, scan.state != FREE, reach, config.reach_m)
+        is_hit = scan.state != FREE
+        half = self._body.half_width_m
+        profile = self._space.profile(x, y, is_hit, half + config.safety_margin_m, config.reach_m)
         free = self._fan.free_m(profile)
         longest = float(free.max())
+        side = float(np.min(np.abs(y), initial=math.inf, where=np.abs(x) < self._beside_m)) - half - _HAIR_M
+        if longest <= config.stop_distance_m and side < config.safety_margin_m and v < _SLOW_MPS:
+            # inside the margin no way is free: a slow car gives it up as far as it must, a fast one brakes
+            profile = self._space.profile(x, y, is_hit, half + max(side, _HAIR_M), config.reach_m)
+            free = self._fan.free_m(profile)
+            longest = float(free.max())
+        self._outline = self._body.wider(min(max(side, 0.0), _NEAR_M))
         short = config.stop_distance_m + max(v, 0.0) * motion.period_s
         over = min(config.compare_m, max(config.compare_share * (longest - config.stop_distance_m), 0.3))
         times, entry2 = self._fan.times_s(free, v, self._limits, over, short)
@@ -77,12 +91,16 @@ class PlannerFTG:
         self._profile, self._chosen = profile, (best, float(free[best]))
         wanted = math.sqrt(float(entry2[best]))
         curvature = self._within_grip(self._blended(times, best), v, wanted)
-        swept = self._swept_free_m(x, y, curvature, v)
+        swept = float(free[best])
+        if abs(curvature) > _TIGHT_PM or abs(curvature - k1[best]) > _OTHER_PM:
+            swept = min(swept, self._swept_free_m(x, y, curvature, v))
         wanted = min(wanted, self._policy.stoppable_mps(swept + config.stop_distance_m, v, motion.period_s))
         self._speeds = (wanted, swept)
         if longest <= config.stop_distance_m or swept < _LEAST_FREE_M:
             return Command(0.0, steering_rad(curvature, 0.0, self._body, 0.0), curvature, longest, is_blocked=True)
         angle = steering_rad(curvature, v, self._body, config.understeer_rad_per_mps2)
+        if v > _SLOW_MPS:
+            angle += config.yaw_gain_s * (curvature * v - motion.yaw_rate_radps)
         return Command(wanted, angle, curvature, float(free[best]))
 
     def _points(self, scan: Scan) -> tuple[Float64s, Float64s]:
@@ -111,10 +129,9 @@ class PlannerFTG:
 
     def _blended(self, times: Float64s, best: int) -> float:
         """The mean first bend of the paths that are nearly as quick as the best one and begin nearly alike."""
-        k1 = self._fan.k1_pm
-        near = np.flatnonzero(np.abs(k1 - k1[best]) < _BLEND_PM)
-        weight = np.exp((times[best] - times[near]) / self._config.blend_s)
-        return float(weight @ k1[near] / weight.sum())
+        near = self._fan.alike(best, _BLEND_PM)
+        weight = np.exp((times[best] - times.take(near)) * (1.0 / self._config.blend_s))
+        return float(weight @ self._fan.k1_pm.take(near) / np.add.reduce(weight))
 
     def _within_grip(self, curvature: float, v: float, wanted: float) -> float:
         """No more curvature than the tyres hold at this speed; while it is too fast, less, so that it can brake."""

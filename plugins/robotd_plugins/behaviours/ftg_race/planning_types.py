@@ -44,7 +44,7 @@ class Scan:
     """One scan in bins of equal angle, in the lidar's place but turned as base is; from right to left.
 
     bearing_rad, ranges_m: float64 (n,); state: int8 (n,), HIT, FREE or MISSING; `ranges_m` is always finite: the range
-    of the nearest hit in the bin, what a narrow hole's neighbours say, `range_max_m` where free; of MISSING it is a guess.
+    of the nearest hit in the bin, what a narrow hole's neighbours say, `range_max_m` where free, a guess where missing.
     unit: cos and sin of the bearings, (2, n). share: when in the sweep each was measured, 0 to 1, (n,).
     x_m, y_m: the lidar in base.
     """

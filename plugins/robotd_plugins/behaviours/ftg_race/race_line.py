@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robotd.world.messages import Float64s
 from robotd_plugins.behaviours.ftg_race.free_space import BEARINGS, HALF, STEP_RAD
@@ -69,8 +70,18 @@ class Fan:
         self._radius2_m = 1.0 / np.maximum(self._size2_pm, 1e-6)
         self._first_m = np.where(s1 < reach_m, s1, 1e-3)
 
+        self._alike: dict[tuple[float, float], NDArray[np.intp]] = {}
+
     def __len__(self) -> int:
         return len(self.k1_pm)
+
+    def alike(self, path: int, within_pm: float) -> NDArray[np.intp]:
+        """Paths whose first bend differs by less than `within_pm`."""
+        key = (float(self.k1_pm[path]), within_pm)
+        found = self._alike.get(key)
+        if found is None:
+            found = self._alike[key] = np.flatnonzero(np.abs(self.k1_pm - key[0]) < within_pm)
+        return found
 
     def points_m(self, path: int, free_m: float) -> list[tuple[float, float]]:
         """The part of a path that is free, in the frame of the car's middle."""

@@ -14,7 +14,7 @@ from robotd_plugins.behaviours.ftg_race.planning_types import FREE, Command, Sca
 
 _SEEN_RAD = 2.7
 """Behind this bearing a lidar must see to look straight back."""
-_REAR_MARGIN_M = 0.04
+_REAR_MARGINS_M = (0.04, 0.015, 0.0)
 _FREE_AGAIN_M = 0.7
 _NEW_PLACE_M = 1.5
 _STILL_MPS = 0.08
@@ -104,7 +104,12 @@ class Recovery:
 
     def _behind_m(self, scan: Scan, curvature: float) -> float:
         x, y = points_base(scan)
-        return swept_free_m(x, y, curvature, self.body.wider(_REAR_MARGIN_M), 1.0, back=True)
+        # beside a wall that is nearer than the margin the car may still move along it and away
+        for margin in _REAR_MARGINS_M:
+            free = swept_free_m(x, y, curvature, self.body.wider(margin), 1.0, back=True)
+            if free > 0.0:
+                break
+        return free
 
 
 def points_base(scan: Scan) -> tuple[Float64s, Float64s]:
