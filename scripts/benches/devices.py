@@ -1,26 +1,19 @@
-"""`scripts/bench devices`: integrity of damaged lidar streams and the cost of reading them."""
+"""`scripts/bench devices`: damaged lidar streams, the cost of reading, serial lines in and out of a whole runtime."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
-from benches import devices_integrity, devices_parse
+from benches import devices_estop, devices_integrity, devices_parse, devices_replug, devices_serial
 from benches.harness import Bench, Context, Figure
-
-_NOT_YET = {
-    "serial_over_bare_reader_p50": "the serial loop through the whole runtime is not measured yet",
-    "serial_over_c_p50": "the serial loop through the whole runtime is not measured yet",
-    "estop_ms_p99": "the stop on a stuck port is not measured yet",
-    "replug_failures": "200 cycles a device are not measured yet; the tests do 20 on virtual time",
-}
 
 
 class Devices(Bench):
-    """Lidars; the figures of motors and of the whole way from line to line have a reason instead of a value."""
+    """Lidars without a runtime, then serial devices within a whole one."""
 
     name: ClassVar[str] = "devices"
-    about: ClassVar[str] = "damaged streams and the cost of reading"
+    about: ClassVar[str] = "damaged streams, the cost of reading, stops and returns on serial lines"
     figures: ClassVar[tuple[Figure, ...]] = (
         Figure("corrupt_accepted", "", "= 0", "packets that a flip, drop, insertion, burst or repetition made"),
         Figure("good_lost_per_fault", "packets", "<= 1.1", "the one that was hit included; worst protocol and kind"),
@@ -38,8 +31,9 @@ class Devices(Bench):
         devices_parse.measure(ctx)
         devices_integrity.measure_nodes(ctx)
         devices_integrity.measure(ctx)
-        for name, why in _NOT_YET.items():
-            ctx.figure(name, None, why=why)
+        devices_serial.measure(ctx)
+        devices_estop.measure(ctx)
+        devices_replug.measure(ctx)
 
     def plot(self, axes: Any, rows: Sequence[Mapping[str, Any]]) -> None:
         parsed = [row for row in rows if row.get("what") == "parse"]

@@ -22,6 +22,8 @@ from robotd.world.messages import LidarScan, Odometry, Steer
 from robotd_devices.sim.single_track import GRAVITY_MPS2, RaceCar, RaceTrack
 
 NS = 1_000_000_000
+TICKS_HZ = 50
+"""A driver with `ticks = True` is called so often between scans, with the newest one, as the runtime does."""
 Floats = NDArray[np.float64]
 
 
@@ -196,6 +198,8 @@ class Race:
         here, progress, best, best_at, lap_from = self._way[at], 0.0, 0.0, 0, 0
         free = 0.0
         over = steps = 0
+        ticks, newest = bool(getattr(driver, "ticks", False)), None
+        tick_ns, next_tick = NS // TICKS_HZ, NS // TICKS_HZ
         grip = self.mu * GRAVITY_MPS2
         steer_was, turned, sum_v = 0.0, 0.0, 0.0
         poses = [(x, y, yaw)]
@@ -205,12 +209,19 @@ class Race:
             while next_scan <= now:
                 queue.append((next_scan + late, self._scan(poses, period, next_scan)))
                 next_scan += period
-            if queue and queue[0][0] <= now:
-                scan = queue.pop(0)[1]
+            arrived = bool(queue) and queue[0][0] <= now
+            ticked = ticks and next_tick <= now
+            if ticked:
+                next_tick += tick_ns
+            if arrived:
+                newest = queue.pop(0)[1]
+            if newest is not None and (arrived or ticked):
+                scan = newest
                 told = Odometry(now, 0.0, 0.0, 0.0, track.vx_mps, 0.0, track.wz_radps)
                 steer = driver(scan, told, now)
                 track.command(steer if steer is not None else Steer(0.0, track.wanted.steering_rad))
-                run.path.append((x, y, track.vx_mps))
+                if arrived:
+                    run.path.append((x, y, track.vx_mps))
             twist = track.step()
             x, y, yaw = advance(x, y, yaw, twist, step_s)
             now += step_ns

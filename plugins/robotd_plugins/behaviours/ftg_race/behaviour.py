@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from robotd import Behaviour, Failed, LidarScan, Odometry, Steer, View, every, latest
 from robotd.authoring.behaviour import StepResult
@@ -20,16 +21,21 @@ from robotd_plugins.behaviours.ftg_race.config import FtgRaceConfig, RaceGoal
 from robotd_plugins.behaviours.ftg_race.perception import ScanPreprocessor
 from robotd_plugins.behaviours.ftg_race.planner_baseline import PlannerBaseline
 from robotd_plugins.behaviours.ftg_race.planner_ftg import planner_of
-from robotd_plugins.behaviours.ftg_race.planning_types import Command, Motion, Planner
+from robotd_plugins.behaviours.ftg_race.planning_types import Command, Motion, Planner, Scan
 from robotd_plugins.behaviours.ftg_race.recovery import Recovery, State
+from robotd_plugins.behaviours.ftg_race.way_since import WaySince
 
 _CYCLE_S = 0.1
 """The seed's loop, to which its filter's beta belongs."""
 _ALL_ROUND_RAD = math.pi
+_TICKS_HZ = 50
+_LEAST_NS = NS_PER_S // 100
+_FAST_S = 0.03
+"""Scans that come as fast as this are planned once each; between slower ones the car's own motion is followed."""
 
 
-class Sees(View):
-    """Each scan wakes a step. Without odometry the speed is taken for what was commanded."""
+class Sees(View, hz=_TICKS_HZ):
+    """Each scan wakes a step, and between slow scans time does. Without odometry the car is taken to do as told."""
 
     scan: LidarScan = every(within_s=0.25)
     odometry: Odometry | None = latest(within_s=0.25)
@@ -71,44 +77,58 @@ class FtgRace(Behaviour[FtgRaceConfig, Sees, RaceGoal]):
             config.range_max_m, config.median_bins, config.confirm_single,
         )  # fmt: skip
         self._recovery = Recovery(config, self._body)
-        self._stamp_ns: int | None = None
+        self._way = WaySince()
         self._period_s = _CYCLE_S
+        self._scan: Scan | None = None
+        self._stamp_ns: int | None = None
+        self._planned_ns = 0
         self._told = Command(0.0, 0.0)
-        self._planned = self._told
 
     def step(self, seen: Sees) -> StepResult:
-        motion = self._motion(seen)
-        scan = self._preprocessor.process(seen.scan, motion)
-        planned = self._planner.plan(scan)
-        command = self._recovery.step(scan, planned)
-        if self._recovery.state is State.FAILED:
-            return Failed(f"stuck: tried {self.config.retries} times to back off from a wall in one place")
-        speed = command.speed_mps
-        if speed > 0.0:
-            lateral = max(
-                abs(motion.speed_mps * motion.yaw_rate_radps), abs(command.curvature_pm) * motion.speed_mps**2
-            )
-            speed = self._policy.ramp(speed, motion.speed_mps, self._told.speed_mps, lateral, motion.period_s)
-        self._planned = command
-        self._told = Command(speed, command.steering_rad, command.curvature_pm, command.free_m, command.is_blocked)
-        return Steer(speed, command.steering_rad)
-
-    def _motion(self, seen: Sees) -> Motion:
-        """The car's motion now; the period adapts to the scans as they come."""
-        scan = seen.scan
-        if self._stamp_ns is not None and scan.stamp_ns > self._stamp_ns:
-            passed = min((scan.stamp_ns - self._stamp_ns) / NS_PER_S, 0.3)
-            # at once where they come slower, gently where they come faster
-            self._period_s = max(passed, self._period_s + 0.2 * (passed - self._period_s))
-        self._stamp_ns = scan.stamp_ns
+        is_new = seen.scan.stamp_ns != self._stamp_ns
         told = self._told
         if seen.odometry is not None:
             v, w = seen.odometry.vx_mps, seen.odometry.wz_radps
         else:
             v, w = told.speed_mps, told.speed_mps * told.curvature_pm
+        self._way.add(seen.now_ns, v, w)
+        if not is_new and (self._period_s <= _FAST_S or seen.now_ns - self._planned_ns < _LEAST_NS):
+            return Steer(told.speed_mps, told.steering_rad)
+        motion = self._motion(seen, v, w, is_new)
+        if is_new or self._scan is None:
+            self._scan = self._preprocessor.process(seen.scan, motion)
+        else:
+            self._scan = replace(self._scan, motion=motion)
+        self._planned_ns = seen.now_ns
+        return self._act(self._scan)
+
+    def _act(self, scan: Scan) -> StepResult:
+        motion = scan.motion
+        command = self._recovery.step(scan, self._planner.plan(scan))
+        if self._recovery.state is State.FAILED:
+            return Failed(f"stuck: tried {self.config.retries} times to back off from a wall in one place")
+        speed = command.speed_mps
+        if speed > 0.0:
+            v = motion.speed_mps
+            lateral = max(abs(v * motion.yaw_rate_radps), abs(command.curvature_pm) * v * v)
+            speed = self._policy.ramp(speed, v, self._told.speed_mps, lateral, motion.period_s)
+        self._told = replace(command, speed_mps=speed)
+        return Steer(speed, command.steering_rad)
+
+    def _motion(self, seen: Sees, v: float, w: float, is_new: bool) -> Motion:
+        """The car's motion now; the period adapts to the scans as they come."""
+        scan = seen.scan
+        if is_new:
+            if self._stamp_ns is not None and scan.stamp_ns > self._stamp_ns:
+                passed = min((scan.stamp_ns - self._stamp_ns) / NS_PER_S, 0.3)
+                # at once where they come slower, gently where they come faster
+                self._period_s = max(passed, self._period_s + 0.2 * (passed - self._period_s))
+            self._stamp_ns = scan.stamp_ns
         age = max(0.0, (seen.now_ns - scan.stamp_ns) / NS_PER_S)
         sweep = max(0.0, (scan.stamp_ns - scan.start_ns) / NS_PER_S) if scan.start_ns else 0.0
-        return Motion(v, w, age, self._period_s, min(sweep, 0.3), told.curvature_pm)
+        hold = self._period_s if self._period_s <= _FAST_S else 1.0 / _TICKS_HZ
+        moved = self._way.since(scan.stamp_ns, seen.now_ns)
+        return Motion(v, w, age, hold, moved, min(sweep, 0.3), self._told.curvature_pm)
 
     def explain(self) -> Explanation:
         return (

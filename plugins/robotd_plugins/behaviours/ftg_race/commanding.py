@@ -63,9 +63,9 @@ class SpeedPolicy:
             return min(max(wanted_mps, max(before_mps, speed_mps) - least), before_mps + most, self.top_mps)
         asked = (wanted_mps - speed_mps) / self.settle_s
         if asked > 0.0:
-            lead = min(asked, self.accel_mps2 * room) * self.accel_response_s
+            lead = min(asked, self.accel_mps2 * room) * max(self.accel_response_s, period_s)
         else:
-            lead = max(asked, -self.brake_mps2 * room) * self.brake_response_s
+            lead = max(asked, -self.brake_mps2 * room) * max(self.brake_response_s, period_s)
         return min(max(speed_mps + lead, 0.0), self.top_mps)
 
 

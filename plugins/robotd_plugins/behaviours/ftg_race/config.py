@@ -13,7 +13,6 @@ from robotd.authoring.config import Goal
 
 SEED_SAFE: Final[Mapping[str, Any]] = {
     "method": "patches",
-
     "median_bins": 3,
     "vehicle_width_m": 0.190,
     "safety_margin_m": 0.030,
@@ -101,8 +100,10 @@ class FtgRaceConfig(Config):
     """How slack the car's speed controller is, upwards: m/s that are missing for 1 m/s^2; 0: it keeps its speed."""
     brake_response_s: float = Field(default=0.053, ge=0.0, le=2.0)
     """The same downwards."""
-    actuation_s: float = Field(default=0.088, ge=0.0, le=0.5)
+    actuation_s: float = Field(default=0.100, ge=0.0, le=0.5)
     """From a command to wheels that turn and tyres that hold."""
+    caution_ps: float = Field(default=2.0, ge=0.0, le=10.0)
+    """Share of grip that it plans without for each second by which a scan is late or a command must hold."""
     rear_slip_rad_per_mps2: float = Field(default=0.0178, ge=0.0, le=0.1)
     """The rear axle drifts outwards by this angle for each m/s^2 of lateral acceleration."""
     understeer_rad_per_mps2: float = Field(default=0.003, ge=-0.05, le=0.1)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from robotd.authoring.explain import Explanation, Histogram, Line, Path, Polygon, Scalar
+from robotd.world.geometry import compose
 from robotd.world.messages import Float64s
 from robotd_plugins.behaviours.ftg_race import gap
 from robotd_plugins.behaviours.ftg_race.body import Body, swept_free_m
@@ -28,6 +30,7 @@ _CIRCLE_SHARE = 0.972
 _TIGHT_PM, _OTHER_PM = 0.5, 0.15
 """The margin of the fan covers the corners of the outline in gentler bends than this, and arcs that are no more unlike
 the chosen one; beyond, the outline is followed along the arc that is really steered."""
+_PROMPT_S = 0.03
 _SLOW_MPS = 1.0
 _HAIR_M = 0.005
 _NEAR_M = 0.03
@@ -84,7 +87,8 @@ class PlannerFTG:
         self._outline = self._body.wider(min(max(side, 0.0), _NEAR_M))
         short = config.stop_distance_m + max(v, 0.0) * motion.period_s
         over = min(config.compare_m, max(config.compare_share * (longest - config.stop_distance_m), 0.3))
-        times, entry2 = self._fan.times_s(free, v, self._limits, over, short)
+        limits = self._limits_after(motion.age_s + motion.period_s)
+        times, entry2 = self._fan.times_s(free, v, limits, over, short)
         k1 = self._fan.k1_pm
         times += config.keep_s * np.abs(k1 - motion.curvature_pm)
         best = int(times.argmin())
@@ -112,7 +116,7 @@ class PlannerFTG:
         config, motion = self._config, scan.motion
         v, w = motion.speed_mps, motion.yaw_rate_radps
         slip = self._body.middle_m * w / max(abs(v), 1.0) - config.rear_slip_rad_per_mps2 * v * w
-        ahead_s = motion.age_s + config.actuation_s + motion.period_s / 2.0
+        ahead_s = config.actuation_s
         x = scan.ranges_m * scan.unit[0]
         y = scan.ranges_m * scan.unit[1]
         x += scan.x_m - self._body.middle_m
@@ -121,11 +125,27 @@ class PlannerFTG:
             # each beam from where the car was then, to where it was at the sweep's end
             late = (1.0 - scan.share) * motion.sweep_s
             x, y = _moved(x, y, v * late, 0.5 * w * v * late * late + v * slip * late, w * late)
+        # where it has gone since, and where it will be when the command acts, along its course there
         turn = w * ahead_s
         way = v * ahead_s
-        x, y = _moved(x, y, way * (1.0 - turn * turn / 6.0), way * (turn / 2.0 + slip), turn + slip)
-        self._frame = (way, way * (turn / 2.0 + slip), turn + slip)
+        x0, y0, yaw0 = compose(motion.moved, (way * (1.0 - turn * turn / 6.0), way * (turn / 2.0 + slip), turn + slip))
+        middle = self._body.middle_m
+        x0, y0 = x0 - middle * (1.0 - math.cos(motion.moved[2])), y0 + middle * math.sin(motion.moved[2])
+        x, y = _moved(x, y, x0, y0, yaw0)
+        self._frame = (x0, y0, yaw0)
         return x, y
+
+    def _limits_after(self, delay_s: float) -> RaceLimits:
+        """The limits that a command is planned with which is as old as this at its end: it will be a little wrong."""
+        late_s = delay_s - _PROMPT_S
+        if late_s <= 0.0:
+            return self._limits
+        share = max(1.0 - self._config.caution_ps * late_s, 0.3)
+        full = self._limits
+        return replace(
+            full, lateral_mps2=share * full.lateral_mps2, brake_mps2=share * full.brake_mps2,
+            corner_brake_mps2=share * full.corner_brake_mps2,
+        )  # fmt: skip
 
     def _blended(self, times: Float64s, best: int) -> float:
         """The mean first bend of the paths that are nearly as quick as the best one and begin nearly alike."""

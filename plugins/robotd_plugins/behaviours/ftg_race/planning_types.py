@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final, Protocol
 
 import numpy as np
@@ -28,7 +28,9 @@ class Motion:
     age_s: float = 0.0
     """From the end of the sweep to now."""
     period_s: float = 0.1
-    """From scan to scan: so long a command holds."""
+    """So long a command holds until the next plan."""
+    moved: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Base now, seen in base at the sweep's end: x, y, yaw."""
     sweep_s: float = 0.0
     """How long the sweep took; 0: all beams at once."""
     curvature_pm: float = 0.0
@@ -36,7 +38,8 @@ class Motion:
 
     def mirrored(self) -> Motion:
         """Left for right."""
-        return Motion(self.speed_mps, -self.yaw_rate_radps, self.age_s, self.period_s, self.sweep_s, -self.curvature_pm)
+        x, y, yaw = self.moved
+        return replace(self, yaw_rate_radps=-self.yaw_rate_radps, curvature_pm=-self.curvature_pm, moved=(x, -y, -yaw))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
