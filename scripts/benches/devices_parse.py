@@ -94,7 +94,7 @@ def _ours_on_a_pty(fake: RplidarFake, answer: int, data: bytes) -> float:
             left -= len(chunk)
             for scan in reader.feed(chunk, time.monotonic_ns()):
                 samples += len(scan.ranges_m)
-            if left <= 4096:  # opening throws away what was there before
+            if left <= 65_536:  # opening throws away what was there before
                 done.set()
 
         port = RawSerialPort(SerialSettings(path, fake.model.baud), take, lambda reason: done.set())

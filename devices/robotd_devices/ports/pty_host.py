@@ -20,6 +20,7 @@ import threading
 import time
 import tty
 from collections import deque
+from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
 
@@ -106,6 +107,17 @@ class PtyHost:
             os.close(self._master)
             os.close(self._slave)
             self._master = self._slave = -1
+
+    @contextlib.contextmanager
+    def stuck(self) -> Iterator[int]:
+        """The adapter hangs: inside, no byte goes either way but by whoever reads the master's descriptor given here.
+
+        Raises RuntimeError where the cable is out.
+        """
+        with self._lock:
+            if self._master < 0:
+                raise RuntimeError(f"{self.link} is not plugged in")
+            yield self._master
 
     def _run(self) -> None:
         while not self._stopping.is_set():
