@@ -86,6 +86,23 @@ def test_unplug_takes_the_link_away_and_plug_brings_another_pty(tmp_path: Path) 
     assert not link.is_symlink()
 
 
+def test_stuck_line_moves_only_by_whoever_holds_it(tmp_path: Path) -> None:
+    with PtyHost(Counting(), tmp_path / "port", baud=4_000_000) as host:
+        fd = opened(tmp_path / "port")
+        read_exactly(fd, 1000)
+        with host.stuck() as master:
+            os.write(fd, b"to nobody")
+            os.set_blocking(master, True)
+            assert read_exactly(master, 9) == b"to nobody"
+            os.set_blocking(master, False)
+            os.write(fd, b"later")
+        assert read_exactly(fd, 5) == b"later"
+        os.close(fd)
+        host.unplug()
+        with pytest.raises(RuntimeError, match="not plugged in"), host.stuck():
+            pass
+
+
 def test_what_nobody_reads_is_lost(tmp_path: Path) -> None:
     class Flood(Counting):
         def tick(self, now_ns: int) -> bytes:
