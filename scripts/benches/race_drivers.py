@@ -20,7 +20,7 @@ TT02D_KEYS: dict[str, Any] = {
     "accel_response_s": 0.167,
     "brake_response_s": 0.1,
     "actuation_s": 0.12,
-    "rear_slip_rad_per_mps2": 0.022,
+    "understeer_rad": 0.0275,
     "can_reverse": False,
 }
 """Config keys of the TT-02D, as in configs/tt02d.yaml."""

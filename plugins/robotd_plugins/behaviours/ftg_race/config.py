@@ -100,15 +100,14 @@ class FtgRaceConfig(Config):
     """How slack the car's speed controller is, upwards: m/s that are missing for 1 m/s^2; 0: it keeps its speed."""
     brake_response_s: float = Field(default=0.053, ge=0.0, le=2.0)
     """The same downwards."""
-    actuation_s: float = Field(default=0.100, ge=0.0, le=0.5)
+    actuation_s: float = Field(default=0.090, ge=0.0, le=0.5)
     """From a command to wheels that turn and tyres that hold."""
     caution_ps: float = Field(default=2.0, ge=0.0, le=10.0)
     """Share of grip that it plans without for each second by which a scan is late or a command must hold."""
-    rear_slip_rad_per_mps2: float = Field(default=0.0178, ge=0.0, le=0.1)
-    """The rear axle drifts outwards by this angle for each m/s^2 of lateral acceleration."""
-    understeer_rad_per_mps2: float = Field(default=0.003, ge=-0.05, le=0.1)
-    """The front wheels are turned farther by this for each m/s^2 of lateral acceleration."""
-
+    rear_slip_rad: float = Field(default=0.183, ge=0.0, le=1.0)
+    """At the limit of grip the rear axle drifts outwards by this angle; below it in proportion."""
+    understeer_rad: float = Field(default=0.031, ge=-0.5, le=1.0)
+    """At the limit of grip the front wheels are turned farther by this; below it in proportion."""
     yaw_gain_s: float = Field(default=0.03, ge=0.0, le=0.5)
     """The front wheels are turned farther by this for each rad/s of yaw rate that is missing, and back for too much."""
 

@@ -63,7 +63,7 @@ class ScanPreprocessor:
             ranges = self._confirmed(ranges)
         if self._median > 1:
             windows = np.lib.stride_tricks.sliding_window_view(np.pad(ranges, self._median // 2, "edge"), self._median)
-            ranges = np.fmin(ranges, np.asarray(np.median(windows, axis=1), dtype=np.float64))
+            ranges = np.fmin(ranges, np.median(windows, axis=1)).astype(np.float64)
         return Scan(
             self._bearing, ranges, state, self._unit, self._share, self._step_rad, most_m, scan.x_m, scan.y_m, motion
         )
@@ -81,12 +81,12 @@ class ScanPreprocessor:
         self._begin: NDArray[np.intp] = np.flatnonzero(np.concatenate(([True], np.diff(sorted_bins) > 0)))
         in_order = len(order) == len(bins) and bool((np.diff(order) == 1).all())
         self._order: NDArray[np.intp] | None = None if in_order else order
-        self._bearing: Float64s = sorted_bins[self._begin] * self._step_rad
+        self._bearing: Float64s = (sorted_bins[self._begin] * self._step_rad).astype(np.float64)
         self._unit: Float64s = np.stack((np.cos(self._bearing), np.sin(self._bearing)))
         shares = np.arange(len(bins)) / max(1, len(bins) - 1)
         counts = np.diff(np.append(self._begin, len(order)))
         self._share: Float64s = np.add.reduceat(shares[order], self._begin) / counts
-        self._angles, self._yaw_rad, self._before = scan.angles_rad, scan.yaw_rad, None
+        self._angles, self._yaw_rad = scan.angles_rad, scan.yaw_rad
 
     def _confirmed(self, ranges: Float64s) -> Float64s:
         before, self._before = self._before, ranges

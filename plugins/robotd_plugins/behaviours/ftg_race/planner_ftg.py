@@ -53,6 +53,8 @@ class PlannerFTG:
             min(config.brake_share * grip, config.brake_mps2), min(config.corner_brake_share * grip, config.brake_mps2),
             _CIRCLE_SHARE * grip,
         )  # fmt: skip
+        self._slip_rad_per_mps2 = config.rear_slip_rad / grip
+        self._understeer_rad_per_mps2 = config.understeer_rad / grip
         self._fan = Fan(body.least_radius_m, config.reach_m, config.curvatures, config.bends_m)
         self._space = FreeSpace()
         self._outline = body.wider(_NEAR_M)
@@ -102,7 +104,7 @@ class PlannerFTG:
         self._speeds = (wanted, swept)
         if longest <= config.stop_distance_m or swept < _LEAST_FREE_M:
             return Command(0.0, steering_rad(curvature, 0.0, self._body, 0.0), curvature, longest, is_blocked=True)
-        angle = steering_rad(curvature, v, self._body, config.understeer_rad_per_mps2)
+        angle = steering_rad(curvature, v, self._body, self._understeer_rad_per_mps2)
         if v > _SLOW_MPS:
             angle += config.yaw_gain_s * (curvature * v - motion.yaw_rate_radps)
         return Command(wanted, angle, curvature, float(free[best]))
@@ -115,7 +117,7 @@ class PlannerFTG:
         """
         config, motion = self._config, scan.motion
         v, w = motion.speed_mps, motion.yaw_rate_radps
-        slip = self._body.middle_m * w / max(abs(v), 1.0) - config.rear_slip_rad_per_mps2 * v * w
+        slip = self._body.middle_m * w / max(abs(v), 1.0) - self._slip_rad_per_mps2 * v * w
         ahead_s = config.actuation_s
         x = scan.ranges_m * scan.unit[0]
         y = scan.ranges_m * scan.unit[1]
@@ -127,7 +129,9 @@ class PlannerFTG:
             x, y = _moved(x, y, v * late, 0.5 * w * v * late * late + v * slip * late, w * late)
         # where it has gone since, and where it will be when the command acts, along its course there
         turn = w * ahead_s
-        way = v * ahead_s
+        ahead = np.min(x, initial=math.inf, where=(np.abs(y) < self._body.half_width_m) & (x > 0.0))
+        # it does not get beyond a wall by being late
+        way = min(v * ahead_s, max(float(ahead) - self._beside_m - motion.moved[0], 0.0))
         x0, y0, yaw0 = compose(motion.moved, (way * (1.0 - turn * turn / 6.0), way * (turn / 2.0 + slip), turn + slip))
         middle = self._body.middle_m
         x0, y0 = x0 - middle * (1.0 - math.cos(motion.moved[2])), y0 + middle * math.sin(motion.moved[2])
