@@ -77,7 +77,7 @@ class FtgRace(Behaviour[FtgRaceConfig, Sees, RaceGoal]):
             config.range_max_m, config.median_bins, config.confirm_single,
         )  # fmt: skip
         self._recovery = Recovery(config, self._body)
-        self._way = WaySince()
+        self._way = WaySince(config.rear_slip_rad / grip)
         self._period_s = _CYCLE_S
         self._scan: Scan | None = None
         self._stamp_ns: int | None = None

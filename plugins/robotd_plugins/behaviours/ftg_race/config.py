@@ -102,7 +102,7 @@ class FtgRaceConfig(Config):
     """The same downwards."""
     actuation_s: float = Field(default=0.090, ge=0.0, le=0.5)
     """From a command to wheels that turn and tyres that hold."""
-    caution_ps: float = Field(default=2.0, ge=0.0, le=10.0)
+    caution_ps: float = Field(default=3.0, ge=0.0, le=10.0)
     """Share of grip that it plans without for each second by which a scan is late or a command must hold."""
     rear_slip_rad: float = Field(default=0.183, ge=0.0, le=1.0)
     """At the limit of grip the rear axle drifts outwards by this angle; below it in proportion."""

@@ -12,9 +12,13 @@ _KEPT = 32
 
 
 class WaySince:
-    """Speeds and yaw rates as they came, each held until the next."""
+    """Speeds and yaw rates as they came, each held until the next.
 
-    def __init__(self) -> None:
+    slip_rad_per_mps2: the rear axle drifts outwards by this angle for each m/s^2 of lateral acceleration.
+    """
+
+    def __init__(self, slip_rad_per_mps2: float = 0.0) -> None:
+        self._slip_rad_per_mps2 = slip_rad_per_mps2
         self._told: deque[tuple[int, float, float]] = deque(maxlen=_KEPT)
 
     def add(self, now_ns: int, speed_mps: float, yaw_rate_radps: float) -> None:
@@ -39,5 +43,5 @@ class WaySince:
             _, v, w = self._told[0]
             pieces.append((v, w, (until_ns - then_ns) / NS_PER_S))
         for v, w, passed_s in reversed(pieces):
-            pose = advance(*pose, Drive(v, w), passed_s)
+            pose = advance(*pose, Drive(v, w, -self._slip_rad_per_mps2 * v * v * w), passed_s)
         return pose
