@@ -136,10 +136,14 @@ class Look(Behaviour[NoConfig, SeesScan]):
 
 
 class Stand:
-    """A robot around one serial device, armed by hand; a lidar's robot has the motors of the guardian's bench."""
+    """A robot around one serial device, armed by hand; a lidar's robot has the motors of the guardian's bench.
 
-    def __init__(self, device: SerialDevice, folder: Path) -> None:
+    config: what the device's config has other than the defaults.
+    """
+
+    def __init__(self, device: SerialDevice, folder: Path, **config: Any) -> None:
         self.device = device
+        self._config = config
         self.fake = device.fake()
         self.host = PtyHost(self.fake, folder / device.name, baud=device.baud)
         self.motors = LineFake()
@@ -148,7 +152,8 @@ class Stand:
 
     def _parts(self) -> Parts:
         device = self.device
-        parts = [DevicePart(device.name, device.cls, device.config(str(self.host.link)))]
+        config = device.config(str(self.host.link)).model_copy(update=self._config)
+        parts = [DevicePart(device.name, device.cls, config)]
         behaviour: type[Behaviour[Any, Any, Any]] = RollCar if isinstance(device.body, Ackermann) else Roll
         if self._motor_host is not None:
             parts.append(DevicePart("motors", LineMotors, LineMotorsConfig(path=str(self._motor_host.link))))

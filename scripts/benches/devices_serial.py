@@ -29,7 +29,7 @@ from robotd_devices.ports.serial_port import Backend
 
 BACKENDS: tuple[Backend, ...] = ("pyserial", "raw")
 WARM_UP = 20
-BLOCK = 250
+BLOCK, BLOCK_QUICK = 250, 120
 """Rounds of one start of the three robots; an interrupted run is taken up at the next one."""
 START_WITHIN_S = 20.0
 ANSWER_WITHIN_S = 1.0
@@ -123,19 +123,19 @@ def _block(backend: Backend, c_robot: Path | None, rounds: int, rng: random.Rand
 
 def measure(ctx: Context) -> None:
     """serial_over_bare_reader_p50 (the default back end; a row for each) and serial_over_c_p50."""
-    blocks = 1 if ctx.quick else 8
+    blocks, rounds = (1, BLOCK_QUICK) if ctx.quick else (8, BLOCK)
     no_c = why_no_c()
     with tempfile.TemporaryDirectory() as folder:
         c_robot = None if no_c else Path(folder) / "robot"
         if c_robot is not None:
-            source = Path(__file__).with_suffix("").with_name("devices_serial_robot.c")
+            source = Path(__file__).with_name("devices_serial_robot.c")
             subprocess.run(["cc", "-O2", "-Wall", "-o", str(c_robot), str(source)], check=True)
         for backend in BACKENDS:
             for block in range(blocks):
                 key = f"serial {backend} {block}"
                 ctx.progress(block, blocks, f"serial {backend}")
                 if ctx.saved(key) is None:
-                    trips = _block(backend, c_robot, BLOCK, random.Random(key))
+                    trips = _block(backend, c_robot, rounds, random.Random(key))
                     ctx.row({"what": "serial", "backend": backend, "trips_ns": trips}, key=key)
     for backend in BACKENDS:
         found = [row["trips_ns"] for row in ctx.rows.all if row.get("what") == "serial" and row["backend"] == backend]
