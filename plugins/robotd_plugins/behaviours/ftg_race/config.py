@@ -109,7 +109,7 @@ class FtgRaceConfig(Config):
     understeer_rad: float = Field(default=0.031, ge=-0.5, le=1.0)
     """At the limit of grip the front wheels are turned farther by this; below it in proportion."""
     yaw_gain_s: float = Field(default=0.03, ge=0.0, le=0.5)
-    """The front wheels are turned farther by this for each rad/s of yaw rate that is missing, and back for too much."""
+    """The front wheels are turned back by this for each rad/s of yaw rate that is too much."""
 
     steer_iir_beta: float = Field(default=1.0, gt=0.0, le=1.0)
     """Share of a new steering angle that is taken over in one cycle of 0.1 s; 1: all."""

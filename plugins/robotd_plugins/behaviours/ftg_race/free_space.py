@@ -36,12 +36,19 @@ class FreeSpace:
         self._flat = self._table.reshape(-1)
 
     def profile(
-        self, x_m: Float64s, y_m: Float64s, is_hit: NDArray[np.bool_], reach_m: float, most_m: float
+        self,
+        x_m: Float64s,
+        y_m: Float64s,
+        is_hit: NDArray[np.bool_],
+        reach_m: float,
+        most_m: float,
+        bin_rad: float = 0.0,
     ) -> Float64s:
         """How far the middle of the car may go on each bearing, float64 (BEARINGS,), from right to left.
 
         x_m, y_m: (n,) in the frame of the car's middle, in order of bearing as the lidar sees them; what is no hit is
-        the end of what is seen there. reach_m: R. Behind an edge that hides something nothing is free.
+        the end of what is seen there. reach_m: R. Behind an edge that hides something nothing is free; a return stands for
+        its bin, `bin_rad` wide.
         """
         r = np.hypot(x_m, y_m)
         at = np.arctan2(y_m, x_m)
@@ -55,8 +62,9 @@ class FreeSpace:
         step = at[1:] - at[:-1]
         nearer = value[:-1] < value[1:]
         close = np.abs(step) < _NEIGHBOURS
-        np.copyto(high[:-1], np.maximum(high[:-1], at[1:]), where=nearer & close)
-        np.copyto(low[1:], np.minimum(low[1:], at[:-1]), where=close > nearer)
+        half_bin = 0.5 * bin_rad * _PER_RAD
+        np.copyto(high[:-1], np.maximum(high[:-1], at[1:] - half_bin), where=nearer & close)
+        np.copyto(low[1:], np.minimum(low[1:], at[:-1] + half_bin), where=close > nearer)
         return self._spread(low, high, value, most_m)
 
     def _spread(self, low: Float64s, high: Float64s, value: Float64s, most_m: float) -> Float64s:

@@ -77,13 +77,13 @@ class PlannerFTG:
         x, y = self._points(scan)
         is_hit = scan.state != FREE
         half = self._body.half_width_m
-        profile = self._space.profile(x, y, is_hit, half + config.safety_margin_m, config.reach_m)
+        profile = self._space.profile(x, y, is_hit, half + config.safety_margin_m, config.reach_m, scan.step_rad)
         free = self._fan.free_m(profile)
         longest = float(free.max())
         side = float(np.min(np.abs(y), initial=math.inf, where=np.abs(x) < self._beside_m)) - half - _HAIR_M
         if longest <= config.stop_distance_m and side < config.safety_margin_m and v < _SLOW_MPS:
             # inside the margin no way is free: a slow car gives it up as far as it must, a fast one brakes
-            profile = self._space.profile(x, y, is_hit, half + max(side, _HAIR_M), config.reach_m)
+            profile = self._space.profile(x, y, is_hit, half + max(side, _HAIR_M), config.reach_m, scan.step_rad)
             free = self._fan.free_m(profile)
             longest = float(free.max())
         self._outline = self._body.wider(min(max(side, 0.0), _NEAR_M))
@@ -106,7 +106,9 @@ class PlannerFTG:
             return Command(0.0, steering_rad(curvature, 0.0, self._body, 0.0), curvature, longest, is_blocked=True)
         angle = steering_rad(curvature, v, self._body, self._understeer_rad_per_mps2)
         if v > _SLOW_MPS:
-            angle += config.yaw_gain_s * (curvature * v - motion.yaw_rate_radps)
+            missing = curvature * v - motion.yaw_rate_radps
+            # against too much yaw only: what is missing comes by itself once the tyres have answered
+            angle += config.yaw_gain_s * missing if missing * motion.yaw_rate_radps < 0.0 else 0.0
         return Command(wanted, angle, curvature, float(free[best]))
 
     def _points(self, scan: Scan) -> tuple[Float64s, Float64s]:
