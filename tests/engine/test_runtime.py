@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import gc
 from dataclasses import replace
 from typing import Any
@@ -188,6 +189,35 @@ def test_a_bridge_asks_and_is_answered() -> None:
     assert [(type(e), e.result) for e in events if isinstance(e, Outcome)] == [(Outcome, "CANCELLED")]
     assert applied[-1] == Drive() and Drive(0.4) in applied
     assert base.at(0.9) == "halt"
+
+
+@pytest.mark.parametrize(("deaf", "said"), [(1, 0), (5, 1)])
+def test_a_bridge_that_does_not_end_holds_nobody_up(deaf: int, said: int, caplog: pytest.LogCaptureFixture) -> None:
+    """Told once is not always enough: since Python 3.12 a server waits for its connections when it is cancelled."""
+
+    class Lingers(Bridge[NoConfig]):
+        async def run(self, runtime: RuntimeLink) -> None:
+            for _ in range(deaf + 1):
+                with contextlib.suppress(asyncio.CancelledError):
+                    await asyncio.Event().wait()
+
+    runtime = Runtime(with_bridge(robot(behaviour(Go)), Lingers), virtual=True)
+
+    def started(running: Runtime) -> None:
+        asyncio.get_running_loop().call_later(1.0, running.stop)
+
+    async def main() -> float:
+        await runtime.run(started)
+        ended_s = asyncio.get_running_loop().time()
+        for task in asyncio.all_tasks() - {asyncio.current_task()}:
+            while not task.done():
+                task.cancel()
+                await asyncio.sleep(0)
+        return ended_s
+
+    with asyncio.Runner(loop_factory=virtual_loop) as runner:
+        assert runner.run(main()) <= 2.05
+    assert sum("does not end" in record.getMessage() for record in caplog.records) == said
 
 
 # -------------------------------------------------------------------------------------- ways out

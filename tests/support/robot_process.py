@@ -41,7 +41,10 @@ class LineConfig(Config):
 
 class Lines(Bridge[LineConfig]):
     async def run(self, runtime: RuntimeLink) -> None:
+        writers = []
+
         async def serve(reader, writer):
+            writers.append(writer)
             while line := await reader.readline():
                 name, *arguments = json.loads(line)
                 try:
@@ -53,8 +56,12 @@ class Lines(Bridge[LineConfig]):
             writer.close()
 
         server = await asyncio.start_unix_server(serve, self.config.path)
-        async with server:
+        try:
             await server.serve_forever()
+        finally:
+            for writer in writers:
+                writer.close()
+            server.close()
 """
 
 

@@ -40,6 +40,8 @@ log = logging.getLogger("robotd")
 GIVE_UP_S = 3.0
 """How long a needed device may be absent at start before robotd says so and exits."""
 BRIDGE_BACKOFF_S = (0.2, 1.0, 5.0)
+BRIDGE_END_S = 0.5
+"""How long a bridge may take to end before it is told again."""
 SECOND_STOP_AFTER_NS = 3_000_000
 """How long a driver may take for the stop of an e-stop until the guardian writes it as well."""
 SUSPEND_AFTER_NS = 20_000_000
@@ -279,7 +281,7 @@ class Runtime:
         while True:
             try:
                 bridge: Bridge[Any] = part.cls(part.config)
-                await bridge.run(self.handle)
+                await _until_it_ends(asyncio.ensure_future(bridge.run(self.handle)), part.name)
                 return
             except Exception as error:
                 wait_s = BRIDGE_BACKOFF_S[min(attempt, len(BRIDGE_BACKOFF_S) - 1)]
@@ -341,6 +343,23 @@ class Runtime:
             await self.guarding.close()
         if self.world is not None:
             await self.world.close()
+
+
+async def _until_it_ends(running: asyncio.Future[None], name: str) -> None:
+    """Wait for a bridge; raises what it raises. One that does not end when it is told to is told again, then left."""
+    try:
+        await asyncio.wait({running})
+    except asyncio.CancelledError:
+        for _ in range(2):
+            running.cancel()
+            if (await asyncio.wait({running}, timeout=BRIDGE_END_S))[0]:
+                break
+        else:
+            log.error("bridge %s does not end; it is left behind", name)
+        if running.done() and not running.cancelled() and (error := running.exception()) is not None:
+            log.error("bridge %s: %s: %s", name, type(error).__name__, error)
+        raise
+    running.result()
 
 
 def skip_missed(due_ns: int, period_ns: int, now_ns: int) -> tuple[int, int]:
