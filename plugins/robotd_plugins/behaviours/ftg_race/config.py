@@ -86,9 +86,9 @@ class FtgRaceConfig(Config):
 
     mu: float = Field(default=1.0489, gt=0.05, le=2.0)
     """Friction between tyre and floor; the shares below are of mu g."""
-    lateral_share: float = Field(default=0.826, gt=0.0, le=1.0)
+    lateral_share: float = Field(default=0.840, gt=0.0, le=1.0)
     """Of it is planned with in bends."""
-    brake_share: float = Field(default=0.583, gt=0.0, le=1.0)
+    brake_share: float = Field(default=0.600, gt=0.0, le=1.0)
     """Of it is planned with before the end of what is free."""
     corner_brake_share: float = Field(default=0.632, gt=0.0, le=1.0)
     """Of it is planned with on the way to a bend."""
