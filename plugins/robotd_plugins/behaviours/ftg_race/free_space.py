@@ -47,8 +47,8 @@ class FreeSpace:
         """How far the middle of the car may go on each bearing, float64 (BEARINGS,), from right to left.
 
         x_m, y_m: (n,) in the frame of the car's middle, in order of bearing as the lidar sees them; what is no hit is
-        the end of what is seen there. reach_m: R. Behind an edge that hides something nothing is free; a return stands for
-        its bin, `bin_rad` wide.
+        the end of what is seen there. reach_m: R. Behind an edge that hides something nothing is free; a return stands
+        for its bin, `bin_rad` wide.
         """
         r = np.hypot(x_m, y_m)
         at = np.arctan2(y_m, x_m)

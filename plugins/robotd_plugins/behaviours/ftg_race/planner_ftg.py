@@ -26,6 +26,8 @@ _OVER_FROM, _OVER_TO = 0.02, 0.17
 """So much too fast, as a share, grip goes to braking first: from the planned share of it to the lesser one."""
 _TURN_SHARE, _BRAKE_TURN_SHARE = 0.923, 0.68
 """Of the grip, for steering; of it while much too fast."""
+_BRAKE_YAW = 2.5
+"""The nose of a braking car turns in by itself: it is held back by so much more."""
 _CIRCLE_SHARE = 0.972
 _TIGHT_PM, _OTHER_PM = 0.5, 0.15
 """The margin of the fan covers the corners of the outline in gentler bends than this, and arcs that are no more unlike
@@ -33,6 +35,8 @@ the chosen one; beyond, the outline is followed along the arc that is really ste
 _PROMPT_S = 0.03
 _SLOW_MPS = 1.0
 _HAIR_M = 0.005
+_LEAST_MARGIN_M = 0.015
+_CREEP_MPS = 0.6
 _NEAR_M = 0.03
 """Clearance of the real outline on the way that is steered."""
 
@@ -80,12 +84,16 @@ class PlannerFTG:
         profile = self._space.profile(x, y, is_hit, half + config.safety_margin_m, config.reach_m, scan.step_rad)
         free = self._fan.free_m(profile)
         longest = float(free.max())
+        most = config.v_max_mps
         side = float(np.min(np.abs(y), initial=math.inf, where=np.abs(x) < self._beside_m)) - half - _HAIR_M
         if longest <= config.stop_distance_m and side < config.safety_margin_m and v < _SLOW_MPS:
             # inside the margin no way is free: a slow car gives it up as far as it must, a fast one brakes
-            profile = self._space.profile(x, y, is_hit, half + max(side, _HAIR_M), config.reach_m, scan.step_rad)
+            profile = self._space.profile(
+                x, y, is_hit, half + max(side, _LEAST_MARGIN_M), config.reach_m, scan.step_rad
+            )
             free = self._fan.free_m(profile)
             longest = float(free.max())
+            most = _CREEP_MPS
         self._outline = self._body.wider(min(max(side, 0.0), _NEAR_M))
         short = config.stop_distance_m + max(v, 0.0) * motion.period_s
         over = min(config.compare_m, max(config.compare_share * (longest - config.stop_distance_m), 0.3))
@@ -95,7 +103,7 @@ class PlannerFTG:
         times += config.keep_s * np.abs(k1 - motion.curvature_pm)
         best = int(times.argmin())
         self._profile, self._chosen = profile, (best, float(free[best]))
-        wanted = math.sqrt(float(entry2[best]))
+        wanted = min(math.sqrt(float(entry2[best])), most)
         curvature = self._within_grip(self._blended(times, best), v, wanted)
         swept = float(free[best])
         if abs(curvature) > _TIGHT_PM or abs(curvature - k1[best]) > _OTHER_PM:
@@ -108,7 +116,8 @@ class PlannerFTG:
         if v > _SLOW_MPS:
             missing = curvature * v - motion.yaw_rate_radps
             # against too much yaw only: what is missing comes by itself once the tyres have answered
-            angle += config.yaw_gain_s * missing if missing * motion.yaw_rate_radps < 0.0 else 0.0
+            gain = config.yaw_gain_s * (1.0 + _BRAKE_YAW * _too_fast(v, wanted))
+            angle += gain * missing if missing * motion.yaw_rate_radps < 0.0 else 0.0
         return Command(wanted, angle, curvature, float(free[best]))
 
     def _points(self, scan: Scan) -> tuple[Float64s, Float64s]:
@@ -161,10 +170,9 @@ class PlannerFTG:
 
     def _within_grip(self, curvature: float, v: float, wanted: float) -> float:
         """No more curvature than the tyres hold at this speed; while it is too fast, less, so that it can brake."""
-        if v < 1.0:
+        if v < _SLOW_MPS:
             return curvature
-        over = v / max(wanted, 0.3) - 1.0
-        share = min(max((over - _OVER_FROM) / (_OVER_TO - _OVER_FROM), 0.0), 1.0)
+        share = _too_fast(v, wanted)
         most = (_TURN_SHARE + share * (_BRAKE_TURN_SHARE - _TURN_SHARE)) * self._grip_mps2 / (v * v)
         return min(max(curvature, -most), most)
 
@@ -252,6 +260,12 @@ def _moved(
     cos, sin = (math.cos(turn), math.sin(turn)) if isinstance(turn, float) else (np.cos(turn), np.sin(turn))
     x, y = x - dx, y - dy
     return cos * x + sin * y, cos * y - sin * x
+
+
+def _too_fast(v: float, wanted: float) -> float:
+    """0 to 1: how much of the grip goes to braking first."""
+    over = v / max(wanted, 0.3) - 1.0
+    return min(max((over - _OVER_FROM) / (_OVER_TO - _OVER_FROM), 0.0), 1.0)
 
 
 def planner_of(
