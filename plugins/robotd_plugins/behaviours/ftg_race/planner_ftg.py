@@ -85,7 +85,7 @@ class PlannerFTG:
         free = self._fan.free_m(profile)
         longest = float(free.max())
         most = config.v_max_mps
-        side = float(np.min(np.abs(y), initial=math.inf, where=np.abs(x) < self._beside_m)) - half - _HAIR_M
+        side = _least(np.abs(y)[np.abs(x) < self._beside_m]) - half - _HAIR_M
         if longest <= config.stop_distance_m and side < config.safety_margin_m and v < _SLOW_MPS:
             # inside the margin no way is free: a slow car gives it up as far as it must, a fast one brakes
             profile = self._space.profile(
@@ -140,9 +140,9 @@ class PlannerFTG:
             x, y = _moved(x, y, v * late, 0.5 * w * v * late * late + v * slip * late, w * late)
         # where it has gone since, and where it will be when the command acts, along its course there
         turn = w * ahead_s
-        ahead = np.min(x, initial=math.inf, where=(np.abs(y) < self._body.half_width_m) & (x > 0.0))
+        ahead = _least(x[(np.abs(y) < self._body.half_width_m) & (x > 0.0)])
         # it does not get beyond a wall by being late
-        way = min(v * ahead_s, max(float(ahead) - self._beside_m - motion.moved[0], 0.0))
+        way = min(v * ahead_s, max(ahead - self._beside_m - motion.moved[0], 0.0))
         x0, y0, yaw0 = compose(motion.moved, (way * (1.0 - turn * turn / 6.0), way * (turn / 2.0 + slip), turn + slip))
         middle = self._body.middle_m
         x0, y0 = x0 - middle * (1.0 - math.cos(motion.moved[2])), y0 + middle * math.sin(motion.moved[2])
@@ -260,6 +260,11 @@ def _moved(
     cos, sin = (math.cos(turn), math.sin(turn)) if isinstance(turn, float) else (np.cos(turn), np.sin(turn))
     x, y = x - dx, y - dy
     return cos * x + sin * y, cos * y - sin * x
+
+
+def _least(values: Float64s) -> float:
+    """The least of some values; inf of none."""
+    return float(values.min()) if len(values) else math.inf
 
 
 def _too_fast(v: float, wanted: float) -> float:
