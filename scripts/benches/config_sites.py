@@ -144,8 +144,11 @@ class Truth:
             if path[1:2] == ("devices",):
                 if len(path) < 3:
                     return None, ()
-                twin = self._plugin("devices", str(path[2])).sim_twin
-                return _schema(self.registry.load("devices", str(twin)).config_type), path[3:]
+                entry = self._data["simulation"]["devices"][path[2]] or {}
+                twin = entry.get("use") or self._plugin("devices", str(path[2])).sim_twin
+                made = dict(_schema(self.registry.load("devices", str(twin)).config_type))
+                made["properties"] = {"use": {"type": "string"}, **made.get("properties", {})}
+                return made, path[3:]
             world = self.registry.load("devices", self._data["simulation"].get("use", "flat_world"))
             made = dict(_schema(world.config_type))
             own = _schema(SimulationEntry)
@@ -160,6 +163,8 @@ class Truth:
 
 def reserved(path: Path) -> bool:
     """Whether a path ends with a key that robotd keeps for itself (`use`, `as`, `priority`...)."""
+    if path[:2] == ("simulation", "devices"):
+        return path[3:] == ("use",)
     return len(path) == 3 and path[0] in ENTRIES and path[2] in entry_keys(ENTRIES[str(path[0])])
 
 

@@ -12,6 +12,7 @@ import pytest
 from robotd_devices import sim
 from robotd_devices.sim import load_map
 from robotd_devices.sim.mujoco_devices import MujocoCamera
+from robotd_devices.sim.race_car import SimRaceCar
 
 PAGE = (Path(__file__).resolve().parents[3] / "docs" / "simulator.md").read_text(encoding="utf-8")
 
@@ -22,6 +23,7 @@ PAGE = (Path(__file__).resolve().parents[3] / "docs" / "simulator.md").read_text
         ("flat_world", sim.FlatWorld),
         ("sim_base", sim.SimBase),
         ("sim_car", sim.SimCar),
+        ("sim_race_car", SimRaceCar),
         ("sim_lidar", sim.SimLidar),
         ("sim_camera", sim.SimCamera),
         ("sim_imu", sim.SimImu),
