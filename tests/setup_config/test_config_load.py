@@ -14,6 +14,8 @@ from robotd.setup.load import check_file, load_config, parts_from_merged
 from robotd.setup.problems import ConfigError, Problem
 from robotd.world.kinematics import Ackermann, Differential, Mecanum
 
+ROOT = Path(__file__).resolve().parents[2]
+
 
 @pytest.fixture
 def write(tmp_path: Path) -> Any:
@@ -408,3 +410,13 @@ def test_empty_sections_and_entries_are_empty_mappings(write: Any) -> None:
 def test_other_bases(write: Any, kinematics: str, expected: object) -> None:
     text = changed("{type: differential, track_m: 0.12}", kinematics)
     assert load_config(write(text), registry=fake.registry()).parts.robot.kinematics == expected
+
+
+def test_a_misspelt_file_beside_others_is_told_by_its_neighbour(tmp_path: Path) -> None:
+    text = (ROOT / "configs" / "f1tenth.yaml").read_text().replace("track_03.yaml", "track_03.yamx")
+    (tmp_path / "configs").mkdir()
+    (tmp_path / "maps").symlink_to(ROOT / "maps")
+    (tmp_path / "configs" / "robot.yaml").write_text(text)
+    (problem,) = check_file(tmp_path / "configs" / "robot.yaml", sim=True)
+    assert problem.path == "simulation.map"
+    assert "did you mean '../maps/tracks/track_03.yaml'?" in problem.hint

@@ -139,7 +139,7 @@ class Checker:
         if key.shelf and given.name == value and find_shipped(key.shelf, value, key.suffix) is not None:
             return value
         names = [name.removesuffix(key.suffix) for name in shipped(key.shelf, key.suffix)] if key.shelf else []
-        near = nearest(given.name.removesuffix(key.suffix), names)
+        near = nearest(given.name.removesuffix(key.suffix), names) or _neighbour(full, given)
         hint = f"did you mean '{near}'?" if near else f"shipped {key.shelf}: {', '.join(names)}" if names else ""
         self.at_value(path, f"there is no file '{value}' (expected a path, relative to this config)", hint)
         return value
@@ -371,3 +371,11 @@ def _bounds(info: FieldInfo | None) -> Iterator[tuple[str, float]]:
             bound = getattr(mark, name, None)
             if isinstance(bound, int | float):
                 yield name, float(bound)
+
+
+def _neighbour(full: FilePath, given: FilePath) -> str | None:
+    """The file in the named folder that is most like one that does not exist, as it would stand in the config."""
+    if not full.parent.is_dir():
+        return None
+    near = nearest(given.name, sorted(file.name for file in full.parent.iterdir() if file.is_file()))
+    return str(given.with_name(near)) if near is not None else None
