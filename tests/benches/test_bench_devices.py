@@ -6,6 +6,7 @@ import os
 import select
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -14,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "scripts"))
 
 from benches.devices_replug import RSS_GROWTH_MB, Held, left_behind  # noqa: E402
-from benches.devices_serial import Lines, why_no_c  # noqa: E402
+from benches.devices_serial import Lines  # noqa: E402
 from benches.devices_serial_robot import bare  # noqa: E402
 
 BEFORE = Held(descriptors=12, tasks=5, threads=3, rss_mb=60.0)
@@ -47,10 +48,11 @@ def test_the_bare_reader_echoes_what_is_whole() -> None:
         os.close(fd)
 
 
-@pytest.mark.skipif(bool(why_no_c()), reason=why_no_c())
-def test_the_c_robot_echoes(tmp_path: Path) -> None:
+def test_the_c_robot_echoes(tmp_path: Path, program: Callable[[str], str]) -> None:
     source = ROOT / "scripts" / "benches" / "devices_serial_robot.c"
-    subprocess.run(["cc", "-Wall", "-Wextra", "-Werror", "-o", str(tmp_path / "robot"), str(source)], check=True)
+    subprocess.run(
+        [program("cc"), "-Wall", "-Wextra", "-Werror", "-o", str(tmp_path / "robot"), str(source)], check=True
+    )
     lines = Lines()
     with subprocess.Popen([str(tmp_path / "robot"), *lines.paths], stdout=subprocess.PIPE) as robot:
         assert robot.stdout is not None
