@@ -18,7 +18,7 @@ PLANTS = {
     "the core knows no device": ("runtime/robotd/safety/guard.py", "import robotd_devices.sim"),
     "imports go one way": ("runtime/robotd/world/topics.py", "import robotd.safety.arbiter"),
     "a plugin knows no device": ("plugins/robotd_plugins/toolkit/__init__.py", "import robotd_devices.sim"),
-    "a device knows no plugin": ("devices/robotd_devices/sim/ticks.py", "import robotd_plugins.toolkit"),
+    "a device knows no plugin": ("devices/robotd_devices/ports/ticker.py", "import robotd_plugins.toolkit"),
 }
 
 

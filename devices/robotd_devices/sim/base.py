@@ -8,7 +8,7 @@ from pydantic import Field
 
 from robotd.authoring.device import Actuator, DeviceContext, DeviceMisconfigured
 from robotd.world.messages import STOP, Drive, Message, Odometry
-from robotd_devices.sim.ticks import Ticker
+from robotd_devices.ports.ticker import Ticker
 from robotd_devices.sim.wheels import Wheels, WheelSettings
 from robotd_devices.sim.world import FlatWorld, flat_world
 

@@ -12,7 +12,7 @@ from robotd.authoring.config import Config
 from robotd.authoring.device import DeviceContext, Sensor
 from robotd.world.clock import NS_PER_S
 from robotd.world.messages import Battery, Contact, Float64s, Imu
-from robotd_devices.sim.ticks import Ticker
+from robotd_devices.ports.ticker import Ticker
 from robotd_devices.sim.world import FlatWorld, flat_world
 
 GRAVITY_MPS2 = 9.80665

@@ -13,7 +13,7 @@ from robotd.authoring.device import Actuator, DeviceContext, DeviceMisconfigured
 from robotd.world.clock import NS_PER_S
 from robotd.world.kinematics import Ackermann, advance
 from robotd.world.messages import STOP, Drive, Message, Odometry, Steer
-from robotd_devices.sim.ticks import Ticker
+from robotd_devices.ports.ticker import Ticker
 from robotd_devices.sim.world import FlatWorld, flat_world
 
 _STILL_MPS = 1e-6

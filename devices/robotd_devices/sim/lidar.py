@@ -12,8 +12,8 @@ from robotd.authoring.config import Config
 from robotd.authoring.device import DeviceContext, Sensor
 from robotd.world.clock import ns
 from robotd.world.messages import Float32s, Float64s, LidarScan
+from robotd_devices.ports.ticker import Ticker
 from robotd_devices.sim.rays import cast
-from robotd_devices.sim.ticks import Ticker
 from robotd_devices.sim.world import FlatWorld, flat_world
 
 HEIGHT_M = 0.1

@@ -11,8 +11,8 @@ from robotd.authoring.device import Actuator, DeviceContext, DeviceMisconfigured
 from robotd.world.clock import NS_PER_S
 from robotd.world.kinematics import Ackermann, advance
 from robotd.world.messages import Drive, Message, Odometry, Steer
+from robotd_devices.ports.ticker import Ticker
 from robotd_devices.sim.single_track import F1TENTH, TT02D, RaceCar, RaceTrack
-from robotd_devices.sim.ticks import Ticker
 from robotd_devices.sim.world import FlatWorld, flat_world
 
 CARS: dict[str, RaceCar] = {"f1tenth": F1TENTH, "tt02d": TT02D}

@@ -14,8 +14,8 @@ from robotd.authoring.device import DeviceContext, DeviceMisconfigured
 from robotd.world.clock import ns
 from robotd.world.messages import Bytes2D, CameraFrame, Float64s
 from robotd.world.robot import Mount
+from robotd_devices.ports.ticker import Ticker
 from robotd_devices.sim.lens import Lens
-from robotd_devices.sim.ticks import Ticker
 from robotd_devices.sim.world import FlatWorld
 
 Pose: TypeAlias = tuple[float, float, float]

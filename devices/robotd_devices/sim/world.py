@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import zlib
 from collections.abc import Sequence
 from typing import Annotated, Protocol
 
@@ -17,7 +18,6 @@ from robotd.world.kinematics import advance
 from robotd.world.messages import STOP, Drive, Float64s
 from robotd_devices.sim.maps import FloorLine, MapError, WorldMap, load_map, map_from_segments
 from robotd_devices.sim.scene import Scene, Things
-from robotd_devices.sim.ticks import generator
 from robotd_devices.sim.touch import Outline
 
 _PAST_S = 1.0
@@ -108,8 +108,8 @@ class FlatWorld(World[FlatWorldConfig]):
             raise DeviceMisconfigured(f"map {self.map.name}: the robot touches a wall or post at `start`: move it")
 
     def generator(self, name: str) -> np.random.Generator:
-        """The random numbers of one device of this world."""
-        return generator(self.config.seed, name)
+        """Random numbers of one device: they depend on the seed and its name, and on nothing that others draw."""
+        return np.random.default_rng([self.config.seed, zlib.crc32(name.encode())])
 
     @property
     def step_ns(self) -> int:

@@ -1,19 +1,11 @@
-"""A device's own beat on any asyncio loop, and its own stream of random numbers."""
+"""A device's own beat on any asyncio loop, real or virtual."""
 
 from __future__ import annotations
 
 import asyncio
-import zlib
 from collections.abc import Callable
 
-import numpy as np
-
 from robotd.world.clock import NS_PER_S, ns
-
-
-def generator(seed: int, name: str) -> np.random.Generator:
-    """Random numbers that depend on the world's seed and on one name, and on nothing that other devices draw."""
-    return np.random.default_rng([seed, zlib.crc32(name.encode())])
 
 
 class Ticker:
