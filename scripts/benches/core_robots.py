@@ -27,6 +27,8 @@ from robotd_devices.motor.jetbot_wheels import Base, Speeds, WheelModel, plan
 ROTATION_HZ, RATE_HZ = 20.0, 9000.0
 """An LD19 at twice its pace: twice the samples in the same time, 450 points a scan all the same."""
 PACKET_NS = round(12 / RATE_HZ * 1e9)
+TURN_NS = round(1e9 / ROTATION_HZ)
+"""A scan and a frame of all that is compared take place at fixed parts of this time, `phase`, on the loop's clock."""
 ROOM = BoxRoom(front_m=2.0, back_m=1.0, left_m=1.5, right_m=0.5)
 """One wall near enough that the zones have points to look at in every scan."""
 
@@ -148,6 +150,7 @@ class StampedConfig(Config):
     model_config = Config.model_config | {"arbitrary_types_allowed": True}
     stamps: Stamps = field(default_factory=Stamps)
     hz: float = 20.0
+    phase: float = 0.0
     shape: tuple[int, int] = (480, 640)
     on_apply: Callable[[], None] | None = None
 
@@ -213,20 +216,26 @@ class FedLidar(Ld19):
 FedLidar.config_type = FedLidarConfig
 
 
+def first_due_ns(now_ns: int, phase: float) -> int:
+    """The next instant that lies `phase` of a turn behind a whole number of turns on the loop's clock."""
+    phase_ns = round(phase * TURN_NS)
+    return now_ns + (phase_ns - now_ns) % TURN_NS
+
+
 class Line:
-    """The bytes of an LD19, a packet at a time, when they would come. `phase`: of a packet's time, and of a turn."""
+    """The bytes of an LD19, a packet at a time, when they would come; revolutions end at `phase` of a turn."""
 
     def __init__(self, phase: float, take: Callable[[bytes], None]) -> None:
-        fake = Ld19Fake(ROOM, rotation_hz=ROTATION_HZ, rate_hz=RATE_HZ, first_deg=360.0 * phase)
+        fake = Ld19Fake(ROOM, rotation_hz=ROTATION_HZ, rate_hz=RATE_HZ, first_deg=180.0)
         self._next = fake.next_packet
         self._take = take
-        self._phase_ns = round(phase * PACKET_NS)
+        self._phase = phase
         self._handle: asyncio.TimerHandle | None = None
 
     def start(self) -> None:
         loop: Any = asyncio.get_running_loop()
         self._loop = loop
-        self._due_ns = loop.now_ns() + self._phase_ns
+        self._due_ns = first_due_ns(loop.now_ns(), self._phase)
         self._schedule()
 
     def stop(self) -> None:
@@ -252,7 +261,7 @@ class _Beating:
         loop: Any = asyncio.get_running_loop()
         self._loop = loop
         self._period_ns = round(1e9 / self.config.hz)
-        self._due_ns = loop.now_ns()
+        self._due_ns = first_due_ns(loop.now_ns(), self.config.phase) - self._period_ns
         self._prepare()
         self._schedule()
 
