@@ -83,6 +83,10 @@ class ScmdChip:
         self.is_moving, self._written_s = wanted != Speeds(), time.monotonic()
         return one(self._address, MOTOR_A, level(wanted.left)), one(self._address, MOTOR_B, level(wanted.right))
 
+    def stopped(self) -> None:
+        """Both motors were told to stand: from now on it may be read again."""
+        self.is_moving = False
+
     def check(self, bus: I2cBus) -> None:
         """Is it still set up? Raises OSError and DeviceUnavailable."""
         if self.is_moving and time.monotonic() - self._written_s > _FRESH_S:
