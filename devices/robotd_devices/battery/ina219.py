@@ -4,30 +4,24 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
-from functools import partial
 from typing import NamedTuple
 
 from pydantic import Field, field_validator, model_validator
 
-from robotd.authoring.config import Config
-from robotd.authoring.device import DeviceContext, DeviceError, DeviceUnavailable, Sensor
+from robotd.authoring.device import DeviceUnavailable
 from robotd.world.clock import ns
 from robotd.world.messages import Battery
 from robotd_devices.battery import ina219_chip as chip
 from robotd_devices.battery.charge import LITHIUM, charge
-from robotd_devices.ports import i2c_bus
 from robotd_devices.ports.i2c_bus import I2cBus
-from robotd_devices.ports.i2c_reader import I2cReader, SensorPlan
+from robotd_devices.ports.i2c_sensor import I2cSensor, I2cSensorConfig
 
 _AVERAGED_S = 0.034
 
 
-class Ina219Config(Config):
+class Ina219Config(I2cSensorConfig):
     """Parameters of an INA219. The defaults are the chip's on most boards; a JetBot's has the address 0x41."""
 
-    bus: int | str = Field(default=1, union_mode="left_to_right")
-    """Number of the I2C bus (1 is /dev/i2c-1), a path, or `unix:` and the path of a fake bus's socket."""
     address: int = Field(default=0x40, ge=0x40, le=0x4F)
     """Address of the chip, by its pins A0 and A1."""
     rate_hz: float = Field(default=2.0, gt=0.0, le=20.0)
@@ -48,11 +42,6 @@ class Ina219Config(Config):
     """Volts of a cell below which `battery low` is counted; 0: never."""
     low_after_s: float = Field(default=5.0, ge=0.0, le=600.0)
     """For so long it must be below without a break: motors that start pull it down for a moment."""
-
-    @field_validator("bus")
-    @classmethod
-    def _plain_path(cls, bus: int | str) -> int | str:
-        return bus.removeprefix("unix:") if isinstance(bus, str) else bus
 
     @field_validator("cell_table")
     @classmethod
@@ -78,65 +67,20 @@ class Reading(NamedTuple):
     current_a: float
 
 
-class Ina219(Sensor[Ina219Config, Battery]):
+class Ina219(I2cSensor[Ina219Config, Battery, Reading]):
     """Publishes the pack's voltage and current. Stamps lie in the middle of the chip's average.
 
     Faults that it counts: `I2C retry`, `current beyond the range`, `battery low`. Lost where a transaction fails three
     times, and where the chip forgot its settings (its supply broke down).
-
-    open_bus: what opens the bus, on the reader's thread; a fake's in tests.
     """
 
     sim_twin = "sim_battery"
+    _low_since_ns: int | None = None
 
-    def __init__(
-        self,
-        config: Ina219Config,
-        context: DeviceContext | None = None,
-        *,
-        open_bus: Callable[[], I2cBus] | None = None,
-    ) -> None:
-        super().__init__(config, context)
-        self._open_bus = open_bus if open_bus is not None else partial(i2c_bus.open_bus, config.bus)
-        self._reader: I2cReader[Reading] | None = None
-        self._low_since_ns: int | None = None
-
-    @classmethod
-    def load(cls, config: Ina219Config) -> None:
-        i2c_bus.load_bus(config.bus)
-
-    @classmethod
-    def publish_period_s(cls, config: Ina219Config) -> float | None:
-        return 1.0 / config.rate_hz
-
-    async def open(self) -> None:
-        config = self.config
+    def prepare(self) -> None:
         self._low_since_ns = None
-        self._reader = I2cReader(
-            self.context.name,
-            SensorPlan(
-                begin=partial(begin, config),
-                read=partial(read, config),
-                period_s=1.0 / config.rate_hz,
-                explain=partial(i2c_bus.explain, bus=config.bus, address=config.address),
-            ),
-            self._open_bus,
-            self.context.clock,
-            on_reading=self._tell,
-            on_fault=self.context.link.fault,
-            on_lost=self.lost,
-        )
-        try:
-            await self._reader.open()
-        except DeviceError as error:
-            raise type(error)(f"{self.context.name}: {error}") from error
 
-    async def close(self) -> None:
-        reader, self._reader = self._reader, None
-        if reader is not None:
-            await reader.close()
-
-    def _tell(self, reading: Reading, read_ns: int) -> None:
+    def take(self, reading: Reading, read_ns: int) -> None:
         config = self.config
         cell_v = reading.voltage_v / config.cells if config.cells else math.nan
         known = math.nan
@@ -153,35 +97,34 @@ class Ina219(Sensor[Ina219Config, Battery]):
             self.context.link.fault("battery low", f"{reading.voltage_v:.2f} V, {cell_v:.2f} V a cell: charge it")
         self.publish(Battery(read_ns - ns(_AVERAGED_S / 2.0), reading.voltage_v, reading.current_a, known))
 
+    # ---------------------------------------------------------------------------- on the reader's thread
 
-# ------------------------------------------------------------------------------- on the reader's thread
+    def begin(self, bus: I2cBus) -> None:
+        """Reset, which proves that it is an INA219, then the settings. Raises OSError and DeviceUnavailable."""
+        config = self.config
+        bus.write(config.address, chip.CONFIG, chip.word(chip.RESET))
+        found = bus.read(config.address, chip.CONFIG, 2)
+        if found != chip.word(chip.AFTER_RESET):
+            raise DeviceUnavailable(
+                f"the chip at {config.place} is no INA219: after a reset its settings read {found.hex()}, "
+                f"not {chip.AFTER_RESET:04x}; correct `address`"
+            )
+        bus.write(config.address, chip.CONFIG, chip.word(chip.settings(config.gain)))
+        # until the first average is complete the registers hold what was measured before the reset
+        time.sleep(1.2 * _AVERAGED_S)
 
-
-def begin(config: Ina219Config, bus: I2cBus) -> None:
-    """Reset, which proves that it is an INA219, then the settings. Raises OSError and DeviceUnavailable."""
-    bus.write(config.address, chip.CONFIG, chip.word(chip.RESET))
-    found = bus.read(config.address, chip.CONFIG, 2)
-    if found != chip.word(chip.AFTER_RESET):
-        raise DeviceUnavailable(
-            f"the chip at 0x{config.address:02X} on I2C bus {i2c_bus.bus_path(config.bus)} is no INA219: after a reset "
-            f"its settings read {found.hex()}, not {chip.AFTER_RESET:04x}; correct `address`"
-        )
-    bus.write(config.address, chip.CONFIG, chip.word(chip.settings(config.gain)))
-    # until the first average is complete the registers hold what was measured before the reset
-    time.sleep(1.2 * _AVERAGED_S)
-
-
-def read(config: Ina219Config, bus: I2cBus) -> Reading:
-    """One reading. Raises OSError, and DeviceUnavailable where the settings are not as they were set."""
-    found = bus.read(config.address, chip.CONFIG, 2)
-    if found != chip.word(chip.settings(config.gain)):
-        raise DeviceUnavailable(
-            f"the chip at 0x{config.address:02X} on I2C bus {i2c_bus.bus_path(config.bus)} lost its settings "
-            f"({found.hex()}): its supply broke down, or another program uses it"
-        )
-    shunt = bus.read(config.address, chip.SHUNT, 2)
-    across_v, bus_v = chip.shunt_v(shunt), chip.bus_v(bus.read(config.address, chip.BUS, 2))
-    # the chip sees IN-; the battery is on the shunt's other end unless it is reversed
-    voltage_v = bus_v if config.reversed else bus_v + across_v
-    current_a = (-across_v if config.reversed else across_v) / config.shunt_ohm
-    return Reading(voltage_v, math.nan if chip.is_at_limit(shunt, config.gain) else current_a)
+    def read(self, bus: I2cBus) -> Reading:
+        """One reading. Raises OSError, and DeviceUnavailable where the settings are not as they were set."""
+        config = self.config
+        found = bus.read(config.address, chip.CONFIG, 2)
+        if found != chip.word(chip.settings(config.gain)):
+            raise DeviceUnavailable(
+                f"the chip at {config.place} lost its settings ({found.hex()}): its supply broke down, "
+                "or another program uses it"
+            )
+        shunt = bus.read(config.address, chip.SHUNT, 2)
+        across_v, bus_v = chip.shunt_v(shunt), chip.bus_v(bus.read(config.address, chip.BUS, 2))
+        # the chip sees IN-; the battery is on the shunt's other end unless it is reversed
+        voltage_v = bus_v if config.reversed else bus_v + across_v
+        current_a = (-across_v if config.reversed else across_v) / config.shunt_ohm
+        return Reading(voltage_v, math.nan if chip.is_at_limit(shunt, config.gain) else current_a)

@@ -4,22 +4,19 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from functools import partial
 from typing import Literal, TypeAlias
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import Field
 
-from robotd.authoring.config import Config
-from robotd.authoring.device import DeviceContext, DeviceError, DeviceUnavailable, Sensor
+from robotd.authoring.device import DeviceContext, DeviceUnavailable
 from robotd.world.clock import ns
 from robotd.world.messages import Float64s, Imu
 from robotd.world.rotation import sensor_base
 from robotd_devices.imu import mpu_chip as chip
 from robotd_devices.imu.zeroing import zero
-from robotd_devices.ports import i2c_bus
 from robotd_devices.ports.i2c_bus import I2cBus
-from robotd_devices.ports.i2c_reader import I2cReader, SensorPlan
+from robotd_devices.ports.i2c_sensor import I2cSensor, I2cSensorConfig
 
 Three: TypeAlias = tuple[float, float, float]
 Raw: TypeAlias = tuple[int, ...]
@@ -28,11 +25,9 @@ _AFTER_RESET_S = 0.1
 _AFTER_WAKING_S = 0.035
 
 
-class Mpu6050Config(Config):
+class Mpu6050Config(I2cSensorConfig):
     """Parameters of an MPU-6050, MPU-6500 or MPU-9250. Where it sits and how it is turned is in `robot.mounts`."""
 
-    bus: int | str = Field(default=1, union_mode="left_to_right")
-    """Number of the I2C bus (1 is /dev/i2c-1), a path, or `unix:` and the path of a fake bus's socket."""
     address: Literal[0x68, 0x69] = 0x68
     """0x69 where the pin AD0 is high."""
     who_am_i: int | None = Field(default=None, ge=0, le=255)
@@ -56,21 +51,14 @@ class Mpu6050Config(Config):
     frozen_s: float = Field(default=0.5, ge=0.1, le=10.0)
     """The very same values for so long mean that the chip hangs: it is set up anew."""
 
-    @field_validator("bus")
-    @classmethod
-    def _plain_path(cls, bus: int | str) -> int | str:
-        return bus.removeprefix("unix:") if isinstance(bus, str) else bus
 
-
-class Mpu6050(Sensor[Mpu6050Config, Imu]):
+class Mpu6050(I2cSensor[Mpu6050Config, Imu, Raw]):
     """Publishes rates and specific force in base axes, as at the place where the chip sits.
 
     Stamps lie before the reading by the low-pass's delay. Nothing is published while the rates at rest are measured.
     Faults that it counts: `I2C retry`, `beyond the range`, `moved while zeroing` (the offsets before, or the config's,
     stay). Lost where a transaction fails three times, and where the chip repeats itself for `frozen_s`, as it does
     after its supply broke down.
-
-    open_bus: what opens the bus, on the reader's thread; a fake's in tests.
     """
 
     sim_twin = "sim_imu"
@@ -82,52 +70,19 @@ class Mpu6050(Sensor[Mpu6050Config, Imu]):
         *,
         open_bus: Callable[[], I2cBus] | None = None,
     ) -> None:
-        super().__init__(config, context)
-        self._open_bus = open_bus if open_bus is not None else partial(i2c_bus.open_bus, config.bus)
+        super().__init__(config, context, open_bus=open_bus)
         self._turn = sensor_base(self.context.mount)
         self._gyro_offset: Float64s = np.array(config.gyro_offset_radps)
-        self._reader: I2cReader[Raw] | None = None
         self._zeroing: list[Float64s] | None = None
         self._zero_until_ns = 0
         self._before: Raw = ()
         self._same_since_ns = 0
 
-    @classmethod
-    def load(cls, config: Mpu6050Config) -> None:
-        i2c_bus.load_bus(config.bus)
+    def prepare(self) -> None:
+        self._before, self._zero_until_ns = (), 0
+        self._zeroing = [] if self.config.zero_s > 0.0 else None
 
-    @classmethod
-    def publish_period_s(cls, config: Mpu6050Config) -> float | None:
-        return 1.0 / config.rate_hz
-
-    async def open(self) -> None:
-        config = self.config
-        self._before, self._zeroing, self._zero_until_ns = (), [] if config.zero_s > 0.0 else None, 0
-        self._reader = I2cReader(
-            self.context.name,
-            SensorPlan(
-                begin=partial(begin, config),
-                read=partial(read, config),
-                period_s=1.0 / config.rate_hz,
-                explain=partial(i2c_bus.explain, bus=config.bus, address=config.address),
-            ),
-            self._open_bus,
-            self.context.clock,
-            on_reading=self._tell,
-            on_fault=self.context.link.fault,
-            on_lost=self.lost,
-        )
-        try:
-            await self._reader.open()
-        except DeviceError as error:
-            raise type(error)(f"{self.context.name}: {error}") from error
-
-    async def close(self) -> None:
-        reader, self._reader = self._reader, None
-        if reader is not None:
-            await reader.close()
-
-    def _tell(self, raw: Raw, read_ns: int) -> None:
+    def take(self, raw: Raw, read_ns: int) -> None:
         config = self.config
         if raw != self._before:
             self._before, self._same_since_ns = raw, read_ns
@@ -164,36 +119,35 @@ class Mpu6050(Sensor[Mpu6050Config, Imu]):
         else:
             self._gyro_offset = found
 
+    # ---------------------------------------------------------------------------- on the reader's thread
 
-# ------------------------------------------------------------------------------- on the reader's thread
-
-
-def begin(config: Mpu6050Config, bus: I2cBus) -> None:
-    """Reset, wake up, set up and read back. Raises OSError, and DeviceUnavailable for another chip."""
-    (identity,) = bus.read(config.address, chip.WHO_AM_I, 1)
-    model = chip.MODELS.get(identity)
-    if model is None and identity == config.who_am_i:
-        model = chip.Model(f"0x{identity:02X}", True)
-    if model is None:
-        known = ", ".join(f"0x{number:02X} {known.name}" for number, known in chip.MODELS.items())
-        raise DeviceUnavailable(
-            f"the chip at 0x{config.address:02X} on I2C bus {i2c_bus.bus_path(config.bus)} says 0x{identity:02X} when "
-            f"asked who it is; known are {known}. Correct `address`, or, if it is a clone, set `who_am_i: {identity}`"
-        )
-    bus.write(config.address, chip.POWER_1, bytes((chip.RESET,)))
-    time.sleep(_AFTER_RESET_S)
-    bus.write(config.address, chip.POWER_1, bytes((chip.CLOCK_GYRO,)))
-    time.sleep(_AFTER_WAKING_S)
-    for register, value in chip.settings(config.rate_hz, config.gyro_range_dps, config.accel_range_g, model).items():
-        bus.write(config.address, register, bytes((value,)))
-        (found,) = bus.read(config.address, register, 1)
-        if found != value:
+    def begin(self, bus: I2cBus) -> None:
+        """Reset, wake up, set up and read back. Raises OSError, and DeviceUnavailable for another chip."""
+        config = self.config
+        (identity,) = bus.read(config.address, chip.WHO_AM_I, 1)
+        model = chip.MODELS.get(identity)
+        if model is None and identity == config.who_am_i:
+            model = chip.Model(f"0x{identity:02X}", True)
+        if model is None:
+            known = ", ".join(f"0x{number:02X} {known.name}" for number, known in chip.MODELS.items())
             raise DeviceUnavailable(
-                f"the {model.name} at 0x{config.address:02X} does not keep what is written to register "
-                f"0x{register:02X} ({value:02x} became {found:02x}): noise on the wires, or another chip"
+                f"the chip at {config.place} says 0x{identity:02X} when asked who it is; known are {known}. "
+                f"Correct `address`, or, if it is a clone, set `who_am_i: {identity}`"
             )
+        bus.write(config.address, chip.POWER_1, bytes((chip.RESET,)))
+        time.sleep(_AFTER_RESET_S)
+        bus.write(config.address, chip.POWER_1, bytes((chip.CLOCK_GYRO,)))
+        time.sleep(_AFTER_WAKING_S)
+        settings = chip.settings(config.rate_hz, config.gyro_range_dps, config.accel_range_g, model)
+        for register, value in settings.items():
+            bus.write(config.address, register, bytes((value,)))
+            (found,) = bus.read(config.address, register, 1)
+            if found != value:
+                raise DeviceUnavailable(
+                    f"the {model.name} at 0x{config.address:02X} does not keep what is written to register "
+                    f"0x{register:02X} ({value:02x} became {found:02x}): noise on the wires, or another chip"
+                )
 
-
-def read(config: Mpu6050Config, bus: I2cBus) -> Raw:
-    """One sample as the chip's own numbers, all of the same instant. Raises OSError."""
-    return chip.SAMPLE.unpack(bus.read(config.address, chip.ACCEL_X, chip.SAMPLE.size))
+    def read(self, bus: I2cBus) -> Raw:
+        """One sample as the chip's own numbers, all of the same instant. Raises OSError."""
+        return chip.SAMPLE.unpack(bus.read(self.config.address, chip.ACCEL_X, chip.SAMPLE.size))

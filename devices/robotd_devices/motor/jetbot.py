@@ -12,7 +12,7 @@ from robotd.authoring.device import DeviceUnavailable, Watchdog
 from robotd_devices.motor import pca9685
 from robotd_devices.motor.i2c_wheels import I2cWheels, I2cWheelsConfig, WheelsChip
 from robotd_devices.motor.jetbot_wheels import Speeds, plan
-from robotd_devices.ports.i2c_bus import I2cBus, I2cWrite, bus_path
+from robotd_devices.ports.i2c_bus import I2cBus, I2cWrite
 
 _OSCILLATOR_S = 0.001
 
@@ -68,9 +68,8 @@ class _Chip:
         want = pca9685.AUTO_INCREMENT | pca9685.ALLCALL, pca9685.prescale(config.pwm_hz)
         if (mode1, prescale) != want:
             raise DeviceUnavailable(
-                f"the chip at 0x{config.address:02X} on I2C bus {bus_path(config.bus)} lost its settings "
-                f"(MODE1 {mode1:02X}, PRESCALE {prescale:02X}, set were {want[0]:02X}, {want[1]:02X}): its supply "
-                "broke down, another program uses it, or it is no PCA9685"
+                f"the chip at {config.place} lost its settings (MODE1 {mode1:02X}, PRESCALE {prescale:02X}, set were "
+                f"{want[0]:02X}, {want[1]:02X}): its supply broke down, another program uses it, or it is no PCA9685"
             )
 
     def stopped(self) -> None:

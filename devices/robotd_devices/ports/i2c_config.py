@@ -5,6 +5,7 @@ from __future__ import annotations
 from pydantic import Field, field_validator
 
 from robotd.authoring.config import Config
+from robotd_devices.ports.i2c_bus import bus_path
 
 
 class I2cConfig(Config):
@@ -19,3 +20,8 @@ class I2cConfig(Config):
     @classmethod
     def _plain_path(cls, bus: int | str) -> int | str:
         return bus.removeprefix("unix:") if isinstance(bus, str) else bus
+
+    @property
+    def place(self) -> str:
+        """Address and bus, for messages."""
+        return f"0x{self.address:02X} on I2C bus {bus_path(self.bus)}"

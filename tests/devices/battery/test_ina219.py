@@ -16,7 +16,7 @@ from robotd.world.messages import Battery
 from robotd_devices.battery import Ina219, Ina219Config
 from robotd_devices.battery import ina219_chip as chip
 from robotd_devices.battery.charge import LITHIUM, charge
-from robotd_devices.battery.ina219 import Reading, begin, read
+from robotd_devices.battery.ina219 import Reading
 from robotd_devices.battery.ina219_fake import Ina219Fake
 from robotd_devices.ports.i2c_fake import FakeI2cBus
 from robotd_devices.ports.i2c_host import I2cHost
@@ -45,7 +45,7 @@ def test_bus_words(raw: str, volts: float) -> None:
 
 def test_settings_are_written_after_a_reset_big_end_first() -> None:
     bus = FakeI2cBus([Ina219Fake()])
-    begin(Ina219Config(max_a=0.8), bus)
+    Ina219(Ina219Config(max_a=0.8)).begin(bus)
     assert [(write.register, write.data.hex()) for write in bus.writes] == [(0, "8000"), (0, "2eef")]
 
 
@@ -62,9 +62,9 @@ def test_voltage_and_current(config: dict[str, Any], current_a: float, gain: int
     fake.current_a = -current_a if swapped else current_a
     fake.voltage_v = 11.1 - across_v if swapped else 11.1
     bus = FakeI2cBus([fake])
-    begin(settings, bus)
+    Ina219(settings).begin(bus)
     assert settings.gain == gain
-    found = read(settings, bus)
+    found = Ina219(settings).read(bus)
     assert found.voltage_v == pytest.approx(11.1, abs=0.0021)
     assert found.current_a == pytest.approx(current_a, abs=0.51 * step_a)
 
@@ -74,8 +74,8 @@ def test_a_current_beyond_the_range_is_unknown(current_a: float) -> None:
     fake, settings = Ina219Fake(), Ina219Config(max_a=0.4)
     fake.current_a = current_a
     bus = FakeI2cBus([fake])
-    begin(settings, bus)
-    assert math.isnan(read(settings, bus).current_a)
+    Ina219(settings).begin(bus)
+    assert math.isnan(Ina219(settings).read(bus).current_a)
 
 
 @pytest.mark.parametrize(
@@ -184,7 +184,7 @@ class _NotIna(Ina219Fake):
 def test_low_battery_is_told_when_it_lasts(volts: list[float], faults: int) -> None:
     device, link = connected(Ina219, Ina219Config(cells=3), clock=ManualClock(10**11))
     for beat, volt in enumerate(volts):
-        device._tell(Reading(volt, 0.0), 10**10 + beat * 500_000_000)
+        device.take(Reading(volt, 0.0), 10**10 + beat * 500_000_000)
     assert [name for name, _ in link.faults] == ["battery low"] * faults
     assert len(link.messages) == len(volts)
 

@@ -16,7 +16,6 @@ from robotd.world.messages import Imu
 from robotd.world.robot import Mount, Robot
 from robotd_devices.imu import Mpu6050, Mpu6050Config
 from robotd_devices.imu import mpu_chip as chip
-from robotd_devices.imu.mpu6050 import begin, read
 from robotd_devices.imu.mpu_fake import MpuFake
 from robotd_devices.imu.zeroing import zero
 from robotd_devices.ports.i2c_fake import FakeI2cBus
@@ -52,7 +51,7 @@ def test_low_pass_lies_below_half_the_rate(rate_hz: float, setting: int) -> None
 @pytest.mark.parametrize(("identity", "filters"), [(0x68, False), (0x70, True), (0x71, True), (0x73, True)])
 def test_settings_of_each_model(identity: int, filters: bool) -> None:
     fake = MpuFake(who_am_i=identity)
-    begin(Mpu6050Config(gyro_range_dps=1000, accel_range_g=8), FakeI2cBus([fake]))
+    Mpu6050(Mpu6050Config(gyro_range_dps=1000, accel_range_g=8)).begin(FakeI2cBus([fake]))
     kept = fake.registers
     assert (kept[chip.GYRO_CONFIG], kept[chip.ACCEL_CONFIG], kept[chip.CONFIG]) == (0x10, 0x10, 3)
     assert kept[chip.ACCEL_CONFIG_2] == (3 if filters else 0)
@@ -64,8 +63,8 @@ def test_every_range_gives_the_same_units(gyro: Any, accel: Any) -> None:
     fake, config = MpuFake(noise=0.0), Mpu6050Config(gyro_range_dps=gyro, accel_range_g=accel)
     fake.rates_radps, fake.forces_mps2 = (0.5, -1.0, 2.0), (1.0, -2.0, 9.0)
     bus = FakeI2cBus([fake])
-    begin(config, bus)
-    raw = read(config, bus)
+    Mpu6050(config).begin(bus)
+    raw = Mpu6050(config).read(bus)
     np.testing.assert_allclose(chip.rates_radps(raw, gyro), fake.rates_radps, atol=math.radians(gyro) / chip.FULL)
     np.testing.assert_allclose(chip.forces_mps2(raw, accel), fake.forces_mps2, atol=accel * G / chip.FULL)
 
