@@ -187,7 +187,7 @@ async def test_unplugged() -> None:
 
 def test_a_rate_beyond_the_range_is_counted() -> None:
     device, link = connected(Mpu6050, Mpu6050Config(zero_s=0.0), clock=ManualClock(10**9))
-    device._tell((0, 0, 8192, 0, 0, 0, 32767), 10**9)
+    device.take((0, 0, 8192, 0, 0, 0, 32767), 10**9)
     assert [name for name, _ in link.faults] == ["beyond the range"]
     assert link.of(Imu)[0].wz_radps == pytest.approx(math.radians(500.0), rel=1e-3)
     assert link.of(Imu)[0].stamp_ns == 10**9 - 5_900_000
