@@ -146,9 +146,9 @@ def test_a_smear_of_the_sweep_is_taken_out() -> None:
     planner = race._planner
     assert isinstance(planner, PlannerFTG)
     binned = race._preprocessor.process(scan, Motion(4.0, 1.5, sweep_s=0.1))
-    x, y = planner._points(binned)
+    x, y = planner.points(binned)
     binned = race._preprocessor.process(scan, Motion(4.0, 1.5))
-    x0, y0 = planner._points(binned)
+    x0, y0 = planner.points(binned)
     gone = np.hypot(x - x0, y - y0)
     # the beams go round from right to left: the last ones were sent just now
     assert gone[-10] < 0.05 < gone[10] and still.speed_mps > 0.0

@@ -64,7 +64,7 @@ class PlannerFTG:
         self._outline = body.wider(_NEAR_M)
         self._beside_m = (body.front_m - body.rear_m) / 2.0
         self._profile: Float64s = np.zeros(2 * HALF + 1)
-        self._frame = (0.0, 0.0, 0.0)
+        self.frame = (0.0, 0.0, 0.0)
         self._chosen = (0, 0.0)
         self._speeds = (0.0, 0.0)
         self._is_mirrored = False
@@ -78,7 +78,7 @@ class PlannerFTG:
     def _plan(self, scan: Scan) -> Command:
         config, motion = self._config, scan.motion
         v = motion.speed_mps
-        x, y = self._points(scan)
+        x, y = self.points(scan)
         is_hit = scan.state != FREE
         half = self._body.half_width_m
         profile = self._space.profile(x, y, is_hit, half + config.safety_margin_m, config.reach_m, scan.step_rad)
@@ -104,23 +104,17 @@ class PlannerFTG:
         best = int(times.argmin())
         self._profile, self._chosen = profile, (best, float(free[best]))
         wanted = min(math.sqrt(float(entry2[best])), most)
-        curvature = self._within_grip(self._blended(times, best), v, wanted)
+        curvature = self.within_grip(self._blended(times, best), v, wanted)
         swept = float(free[best])
         if abs(curvature) > _TIGHT_PM or abs(curvature - k1[best]) > _OTHER_PM:
-            swept = min(swept, self._swept_free_m(x, y, curvature, v))
+            swept = min(swept, self.outline_free_m(x, y, curvature, v))
         wanted = min(wanted, self._policy.stoppable_mps(swept + config.stop_distance_m, v, motion.period_s))
         self._speeds = (wanted, swept)
         if longest <= config.stop_distance_m or swept < _LEAST_FREE_M:
             return Command(0.0, steering_rad(curvature, 0.0, self._body, 0.0), curvature, longest, is_blocked=True)
-        angle = steering_rad(curvature, v, self._body, self._understeer_rad_per_mps2)
-        if v > _SLOW_MPS:
-            missing = curvature * v - motion.yaw_rate_radps
-            # against too much yaw only: what is missing comes by itself once the tyres have answered
-            gain = config.yaw_gain_s * (1.0 + _BRAKE_YAW * _too_fast(v, wanted))
-            angle += gain * missing if missing * motion.yaw_rate_radps < 0.0 else 0.0
-        return Command(wanted, angle, curvature, float(free[best]))
+        return Command(wanted, self.steered_rad(curvature, motion, wanted), curvature, float(free[best]))
 
-    def _points(self, scan: Scan) -> tuple[Float64s, Float64s]:
+    def points(self, scan: Scan) -> tuple[Float64s, Float64s]:
         """Returns (n,) about the middle of the car where it will be when the command acts, x along its course.
 
         The course differs from the heading: the middle lies ahead of the axle that rolls, and the tyres of that axle
@@ -147,7 +141,7 @@ class PlannerFTG:
         middle = self._body.middle_m
         x0, y0 = x0 - middle * (1.0 - math.cos(motion.moved[2])), y0 + middle * math.sin(motion.moved[2])
         x, y = _moved(x, y, x0, y0, yaw0)
-        self._frame = (x0, y0, yaw0)
+        self.frame = (x0, y0, yaw0)
         return x, y
 
     def _limits_after(self, delay_s: float) -> RaceLimits:
@@ -168,7 +162,7 @@ class PlannerFTG:
         weight = np.exp((times[best] - times.take(near)) * (1.0 / self._config.blend_s))
         return float(weight @ self._fan.k1_pm.take(near) / np.add.reduce(weight))
 
-    def _within_grip(self, curvature: float, v: float, wanted: float) -> float:
+    def within_grip(self, curvature: float, v: float, wanted: float) -> float:
         """No more curvature than the tyres hold at this speed; while it is too fast, less, so that it can brake."""
         if v < _SLOW_MPS:
             return curvature
@@ -176,7 +170,18 @@ class PlannerFTG:
         most = (_TURN_SHARE + share * (_BRAKE_TURN_SHARE - _TURN_SHARE)) * self._grip_mps2 / (v * v)
         return min(max(curvature, -most), most)
 
-    def _swept_free_m(self, x: Float64s, y: Float64s, curvature: float, v: float) -> float:
+    def steered_rad(self, curvature: float, motion: Motion, wanted: float) -> float:
+        """Angle of the front wheels for a curvature, with understeer, and against too much yaw."""
+        v = motion.speed_mps
+        angle = steering_rad(curvature, v, self._body, self._understeer_rad_per_mps2)
+        if v > _SLOW_MPS:
+            missing = curvature * v - motion.yaw_rate_radps
+            # against too much yaw only: what is missing comes by itself once the tyres have answered
+            gain = self._config.yaw_gain_s * (1.0 + _BRAKE_YAW * _too_fast(v, wanted))
+            angle += gain * missing if missing * motion.yaw_rate_radps < 0.0 else 0.0
+        return angle
+
+    def outline_free_m(self, x: Float64s, y: Float64s, curvature: float, v: float) -> float:
         """How far the real outline goes on the arc that is steered; only as far as it matters at this speed."""
         far = 0.6 + max(v, 0.0) * 0.1 + v * v / (2.0 * self._limits.brake_mps2)
         reach = far + self._body.front_m
@@ -188,7 +193,7 @@ class PlannerFTG:
     def explain(self) -> Explanation:
         best, free = self._chosen
         sign = -1.0 if self._is_mirrored else 1.0
-        x0, y0, turn = self._frame
+        x0, y0, turn = self.frame
         cos, sin = math.cos(turn), math.sin(turn)
         middle = self._body.middle_m
 

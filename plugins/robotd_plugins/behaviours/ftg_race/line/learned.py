@@ -50,7 +50,7 @@ def learned_line(path: Float64s, field: WallField, body: Body, limits: LineLimit
             f"{ring.y_m[tightest]:.2f} is tighter than the car's {1.0 / most:.2f} m"
         )
     speed = speeds_mps(ring.curvature_pm, ring.step_m, limits)
-    s: Float64s = np.arange(len(ring.x_m)) * ring.step_m
+    s: Float64s = np.arange(len(ring.x_m), dtype=np.float64) * ring.step_m
     return LearnedLine(
         s, ring.x_m, ring.y_m, ring.yaw_rad, ring.curvature_pm, speed, len(s) * ring.step_m, lap_s(speed, ring.step_m)
     )
