@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
+from typing import ClassVar
 
 import numpy as np
 
@@ -17,12 +20,18 @@ from robotd_devices.lidar.rplidar_capsules import DENSE, EXPRESS, FORMATS, TURN_
 from robotd_devices.lidar.rplidar_models import Motor, ScanMode
 from robotd_devices.lidar.rplidar_nodes import NODE_BYTES
 from robotd_devices.lidar.xor_fold import xor_fold
+from robotd_devices.ports.breakable import Breakable
 
 STANDARD = 0x81
 _BANNER = b"RP LIDAR System.\r\nFirmware Ver %d.%02d, HW Ver %d\r\nModel: %02x\r\n"
 _QUALITY_NODE, _QUALITY_ULTRA = 47, 200
 #: A sample leaves the device one and a half sample times after it was taken, as the vendor's SDK assumes.
 _DELAY_SAMPLES = 1.5
+#: A head that turns unevenly: share by which its speed swings, and how often a second.
+_SWING, _SWING_HZ = 0.2, 0.9
+#: Where the quarter of the view lies that sends nothing back, clockwise from the mark.
+_BLANK_DEG = (40.0, 130.0)
+_CODE = 0x0102
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,14 +71,31 @@ MODELS = {
 }  # fmt: skip
 
 
-class RplidarFake:
+class RplidarFake(Breakable):
     """Answers requests and scans as one of `MODELS`.
 
     The world is `range_of` (see `Ld19Fake`); distances beyond `range_max_m` are sent as 0. Its head stands at
     `first_deg` when its power comes. It sends samples while its motor runs: by DTR (runs unless `set_dtr(True)`), by
     PWM, by speed, or always. Set at any time: `health` (a reset clears it unless `stubborn`), `mute` (sends nothing at
-    all), `stalled` (the head stands still, samples go on); `brown_out` restarts it.
+    all), `stalled` (the head stands still, samples go on), `uneven` (its speed swings), `flagless` (no mark of a new
+    turn), `blank` (a quarter of the view returns nothing), `blind` (nothing does); `brown_out` restarts it.
     """
+
+    breaks: ClassVar[Mapping[str, str]] = MappingProxyType(
+        {
+            "head stalls": "stalled",
+            "bytes stop": "mute",
+            "still scanning": "scan_by_itself",
+            "health warning": "warn",
+            "health error": "protect",
+            "health error stays": "protect_for_good",
+            "brown-out": "brown_out",
+            "uneven turning": "uneven",
+            "no start of turn": "flagless",
+            "no return": "blank",
+            "nothing returns": "blind",
+        }
+    )
 
     def __init__(
         self,
@@ -86,8 +112,11 @@ class RplidarFake:
         self.rotation_hz = rotation_hz
         self.health = wire.Health(0, 0)
         self.stubborn = self.mute = self.stalled = False
+        self.uneven = self.flagless = self.blank = self.blind = False
         self.requests: list[int] = []
         """Commands received since power-on."""
+        self.heard: list[tuple[int, int]] = []
+        """Every command ever received, with its time in nanoseconds."""
         self._range_max_m = range_max_m
         self._first_deg = first_deg
         self._spin_up_ns = round(spin_up_s * 1e9)
@@ -112,6 +141,26 @@ class RplidarFake:
         """Its supply fell for a moment: it boots, says so, and scans no more."""
         self._pwm = 0
         self._boot(now_ns)
+
+    def warn(self, now_ns: int) -> None:
+        """It is not quite well."""
+        self.health = wire.Health(1, _CODE)
+
+    def protect(self, now_ns: int) -> None:
+        """It shuts itself down."""
+        self.health = wire.Health(2, _CODE)
+        self.scanning = None
+
+    def protect_for_good(self, now_ns: int) -> None:
+        """The same, and a reset does not help."""
+        self.stubborn = True
+        self.protect(now_ns)
+
+    def scan_by_itself(self, now_ns: int) -> None:
+        """An earlier program left it scanning."""
+        self._pwm = wire.DEFAULT_PWM
+        self._motor(now_ns)
+        self._scan(self.model.typical, now_ns)
 
     def set_dtr(self, on: bool, now_ns: int) -> None:
         """The adapter's DTR line: raised, it stops the motor of an A1."""
@@ -161,6 +210,7 @@ class RplidarFake:
 
     def _obey(self, command: int, payload: bytes, now_ns: int) -> None:
         self.requests.append(command)
+        self.heard.append((now_ns, command))
         if command == wire.STOP:
             self.scanning = None
         elif command == wire.RESET:
@@ -244,7 +294,11 @@ class RplidarFake:
         """Where the head stands at a sample of the running scan, clockwise from the mark, not wrapped."""
         if self.stalled:
             return self._first_deg
-        return self._first_deg + 360e-9 * self.rotation_hz * (self.scan_ns - self._on_ns + sample * self.sample_ns)
+        turning_s = (self.scan_ns - self._on_ns + sample * self.sample_ns) / 1e9
+        if self.uneven:  # its speed is the derivative of this: a fifth more, a fifth less
+            swing = 2.0 * math.pi * _SWING_HZ
+            turning_s += _SWING / swing * math.sin(swing * turning_s)
+        return self._first_deg + 360.0 * self.rotation_hz * turning_s
 
     def tick(self, now_ns: int) -> bytes:
         mode = self.scanning
@@ -262,7 +316,11 @@ class RplidarFake:
 
     def _distance_m(self, beam_deg: Float64s) -> Float64s:
         distance_m = self.range_of(-np.radians(beam_deg))
-        return np.where(np.isfinite(distance_m) & (distance_m <= self._range_max_m), distance_m, 0.0)
+        seen = np.isfinite(distance_m) & (distance_m <= self._range_max_m) & (not self.blind)
+        if self.blank:
+            at_deg = beam_deg % 360.0
+            seen &= (at_deg < _BLANK_DEG[0]) | (at_deg >= _BLANK_DEG[1])
+        return np.where(seen, distance_m, 0.0)
 
     def _lag_deg(self, head_deg: Float64s, rounds: int) -> Float64s:
         """By how much each beam lags: it depends on the distance, which depends on where the beam goes."""
@@ -283,6 +341,7 @@ class RplidarFake:
         whole_turns = np.floor((head - lag) / 360.0).astype(np.int64)
         starts = np.diff(whole_turns, prepend=self._angle_before) > 0
         self._angle_before = int(whole_turns.max())
+        starts &= not self.flagless
         nodes = np.empty(count, dtype=[("head", "u1"), ("angle", "<u2"), ("distance", "<u2")])
         nodes["head"] = np.where(q2 > 0.0, _QUALITY_NODE << 2, 0) | np.where(starts, 1, 2)
         nodes["angle"] = angle << 1 | 1

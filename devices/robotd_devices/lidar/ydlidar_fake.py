@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import ClassVar
 
 import numpy as np
 
@@ -13,17 +16,29 @@ from robotd_devices.lidar.ld19_fake import BoxRoom, RangeOf
 from robotd_devices.lidar.ydlidar_models import MODELS, encode_samples, lens_deg
 from robotd_devices.lidar.ydlidar_packets import TURN_Q6, YdPacket, encode
 from robotd_devices.lidar.ydlidar_talk import FORCE_STOP, GET_HEALTH, GET_INFO, HEALTH, INFO, RESET, SCAN, STOP
+from robotd_devices.ports.breakable import Breakable
 
 _PACKET_SAMPLES = 40
 
 
-class YdlidarFake:
+class YdlidarFake(Breakable):
     """Scans as one of `MODELS`: from power-on, or on request where the model is commanded.
 
     The world is `range_of` (see `Ld19Fake`); distances beyond `range_max_m` are sent as 0. A turn begins with a packet
     of one sample where the head passes 0. Set at any time: `mute` (sends nothing at all), `stalled` (the head stands
-    still), `status` (health: 0 well, 1 warning, 2 error).
+    still), `status` (health: 0 well, 1 warning, 2 error, which a reset
+    clears unless `stubborn`).
     """
+
+    breaks: ClassVar[Mapping[str, str]] = MappingProxyType(
+        {
+            "head stalls": "stalled",
+            "bytes stop": "mute",
+            "still scanning": "scan_by_itself",
+            "health warning": "warn",
+            "health error": "fail",
+        }
+    )
 
     def __init__(
         self,
@@ -37,7 +52,7 @@ class YdlidarFake:
         self.model = MODELS[model]
         self.range_of: RangeOf = range_of if range_of is not None else BoxRoom()
         self.rotation_hz = rotation_hz
-        self.mute = self.stalled = False
+        self.mute = self.stalled = self.stubborn = False
         self.status = 0
         self.requests: list[int] = []
         """Commands received since power-on."""
@@ -58,6 +73,19 @@ class YdlidarFake:
         """When sample 0 of the running scan was taken; sample i follows i sample times later."""
         self._sampled = 0
         self._turns = -1
+
+    def warn(self, now_ns: int) -> None:
+        """It is not quite well."""
+        self.status = 1
+
+    def fail(self, now_ns: int) -> None:
+        """It reports an error."""
+        self.status = 2
+
+    def scan_by_itself(self, now_ns: int) -> None:
+        """An earlier program left it scanning."""
+        self._dtr = True
+        self._scan(now_ns, True)
 
     def set_dtr(self, on: bool, now_ns: int) -> None:
         """The adapter's DTR line: raised, the motor of a commanded model turns."""
@@ -84,6 +112,8 @@ class YdlidarFake:
             self.requests.append(command)
             if command in (STOP, FORCE_STOP, RESET):
                 self._scan(now_ns, False)
+                if command == RESET and not self.stubborn:
+                    self.status = 0
             elif command == SCAN:
                 self._out += encode_descriptor(5, 0x81, stream=True)
                 self._scan(now_ns, True)

@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import ClassVar
 
 from robotd_devices.motor import mc
 from robotd_devices.motor.mc import Kind, McFrame, McParser
+from robotd_devices.ports.breakable import Breakable
 
 _MS = 1_000_000
 NEVER_MS = 0xFFFF
 
 
-class McFake:
+class McFake(Breakable):
     """Obeys DRIVE in auto mode while the heartbeat and the command are fresh; else it stands.
 
     `creeps`: a fresh DRIVE with speed 0 or less drives at `mc.CREEP_MM_S`, as some builds of the firmware do.
     STATUS and IMU_STATUS every 10 ms, ACK where it is asked for and for every PING. `log`: frames with their times.
     """
+
+    breaks: ClassVar[Mapping[str, str]] = MappingProxyType({"controller silent": "is_mute"})
 
     def __init__(self, *, creeps: bool = True, long_status: bool = True) -> None:
         self.creeps = creeps

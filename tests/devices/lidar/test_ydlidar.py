@@ -136,7 +136,7 @@ def test_stamps_are_when_it_was_measured(monkeypatch: pytest.MonkeyPatch) -> Non
     ("model", "change", "words"),
     [
         ("x4", {"mute": True}, "YDLIDAR x4 on /dev/lidar at 128000 baud: it does not say.*no byte came"),
-        ("g4", {"status": 2}, "reports an error, code 0x0000, also after a reset"),
+        ("g4", {"status": 2, "stubborn": True}, "reports an error, code 0x0000, also after a reset"),
     ],
 )
 def test_opening_says_what_is_wrong(
