@@ -194,9 +194,10 @@ class Dialogue:
         port, self._port = self._port, None
         if port is None:
             return
-        if last_words and not self._gone:
-            port.write(last_words, first=True)
+        if not self._gone:
             if dtr is not None:
                 port.set_dtr(dtr)
-            await port.drain(0.1)
+            if last_words:
+                port.write(last_words, first=True)
+                await port.drain(0.1)
         port.abort()

@@ -23,6 +23,10 @@ from robotd_devices.ports.serial_port import Backend, SerialSettings, load_backe
 _LOOK_S = 0.1
 #: A motor needs this long from standstill to its speed; until then no scan is missed.
 _SPIN_UP_S = 3.0
+#: Shares of `silent_s` after which a lidar that sends nothing is started anew, then reset.
+_SILENT_AT = (1 / 6, 1 / 2)
+#: Those after which the motor of one that does not turn is switched off and on.
+_STALLED_AT = (1 / 6, 5 / 12, 2 / 3)
 
 
 class RplidarConfig(Config):
@@ -101,7 +105,9 @@ class Rplidar(Sensor[RplidarConfig, LidarScan]):
     async def open(self) -> None:
         line, settings, info = await self._find()
         self._line = line
-        self.scanning = await line.say(talk.begin(info, self._wishes))
+        # known before the motor turns, so that `close` stops it also where the scan does not begin
+        self.scanning = await line.say(talk.get_ready(info, self._wishes))
+        await line.say(talk.begin(self.scanning, self._wishes))
         self._listen(settings)
         self._watch = asyncio.get_running_loop().create_task(self._keep_going(settings))
 
@@ -119,7 +125,7 @@ class Rplidar(Sensor[RplidarConfig, LidarScan]):
                 self._baud = baud
                 return line, settings, info
             heard += line.bytes
-            await line.leave(b"", dtr=None)
+            await line.leave(b"", self._dtr_at_end())
         tried = ", ".join(str(baud) for baud in bauds)
         why = (
             f"{heard} bytes came but no answer: is {config.port} this lidar's port?"
@@ -155,30 +161,35 @@ class Rplidar(Sensor[RplidarConfig, LidarScan]):
             self.context.link.fault(name)
 
     async def _keep_going(self, settings: SerialSettings) -> None:
-        """Looks for scans; brings a silent lidar back in two steps, and gives the port up after `silent_s`."""
+        """Looks for scans; brings a silent or stalled lidar back step by step, and gives the port up at last."""
         loop, silent_s = asyncio.get_running_loop(), self.config.silent_s
-        scans, since_s, tried = -1, loop.time() + _SPIN_UP_S, 0
+        scans, since_s, tried, told = -1, loop.time() + _SPIN_UP_S, 0, False
         while True:
             await asyncio.sleep(_LOOK_S)
             if self._scans != scans:
                 first, scans = scans < 0, self._scans
                 if not first:
-                    since_s, tried = loop.time(), 0
+                    since_s, tried, told = loop.time(), 0, False
                 self._quiet_from = -1
                 continue
             if self._quiet_from < 0 and self._line is not None:
                 self._quiet_from = self._line.bytes
             silence_s = loop.time() - since_s
+            stalled = self._reader is not None and self._reader.not_turning
+            if stalled and not told and silence_s > 0.0:
+                told = True
+                self.context.link.fault("not turning", self._why())
+            steps = _STALLED_AT if stalled else _SILENT_AT
             try:
                 if silence_s >= silent_s:
                     self.lost(f"silent for {silent_s:g} s: {self._why()}")
                     return
-                if tried == 0 and silence_s >= silent_s / 6.0:
-                    tried = 1
-                    await self._restart(settings)
-                elif tried == 1 and silence_s >= silent_s / 2.0:
-                    tried = 2
-                    await self._reset(settings)
+                if tried < len(steps) and silence_s >= steps[tried] * silent_s:
+                    tried += 1
+                    if stalled or tried == 1:
+                        await self._restart(settings)
+                    else:
+                        await self._reset(settings)
             except DeviceLost:
                 return  # the port has reported it
             except DeviceError as error:
@@ -218,7 +229,11 @@ class Rplidar(Sensor[RplidarConfig, LidarScan]):
             await asyncio.wait((watch,))
         if line is not None:
             motor = scanning.motor if scanning is not None else "none"
-            await line.leave(talk.stop_commands(motor), dtr=True if motor == "dtr" else None)
+            await line.leave(talk.stop_commands(motor), self._dtr_at_end())
+
+    def _dtr_at_end(self) -> bool | None:
+        """Raised again, unless it was left alone: cleared, it lets the motor of an A1 turn for ever."""
+        return None if self.config.motor == "none" else True
 
     def _gone(self, reason: str) -> None:
         opening = self._watch is None

@@ -63,14 +63,18 @@ def hello() -> Talk[wire.Info | None]:
     return None
 
 
-def begin(info: wire.Info, wishes: Wishes) -> Talk[Scanning]:
-    """From an idle device to a scan. Raises DeviceUnavailable or DeviceMisconfigured, saying why."""
+def get_ready(info: wire.Info, wishes: Wishes) -> Talk[Scanning]:
+    """Is it well, and how is it to scan? Nothing moves yet. Raises DeviceUnavailable or DeviceMisconfigured."""
     yield from check_health(info)
     mode = yield from choose_mode(info, wishes.mode)
     motor = yield from choose_motor(info, wishes.motor)
-    yield from turn(motor, wishes)
-    yield from scan(info, mode)
     return Scanning(info, mode, motor)
+
+
+def begin(scanning: Scanning, wishes: Wishes) -> Talk[None]:
+    """The motor turns and the scan runs. Raises DeviceUnavailable where it does not; then the motor may turn."""
+    yield from turn(scanning.motor, wishes)
+    yield from scan(scanning.info, scanning.mode)
 
 
 def check_health(info: wire.Info) -> Talk[None]:
@@ -228,4 +232,6 @@ def anew(wishes: Wishes) -> Talk[Scanning]:
     info = yield from hello()
     if info is None:
         raise DeviceUnavailable("it does not answer after a reset")
-    return (yield from begin(info, wishes))
+    scanning = yield from get_ready(info, wishes)
+    yield from begin(scanning, wishes)
+    return scanning
