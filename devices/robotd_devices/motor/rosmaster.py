@@ -7,10 +7,12 @@ from typing import ClassVar, Literal
 from pydantic import Field
 
 from robotd.authoring.device import Watchdog
+from robotd.world.clock import ns
 from robotd.world.kinematics import Mecanum, saturate
 from robotd.world.messages import Battery, Drive, Imu, Message, Odometry
 from robotd_devices.motor import rosmaster_packets as packets
 from robotd_devices.motor.rosmaster_packets import Report, RosmasterParser
+from robotd_devices.motor.rosmaster_wheels import WheelWatch
 from robotd_devices.motor.serial_motor import SerialMotor, SerialMotorConfig
 
 _CARS = {"x3": 1, "x3_plus": 2}
@@ -38,13 +40,16 @@ class RosmasterConfig(SerialMotorConfig):
     """The board counts turns clockwise."""
     imu: bool = True
     """Publish what its inertial sensor measures."""
+    slip_s: float = Field(default=0.2, ge=0.0, le=5.0)
+    """For so long one wheel may turn otherwise than the other three say, then the base stops; 0: for ever."""
 
 
 class Rosmaster(SerialMotor[RosmasterConfig, Drive]):
     """Drives a mecanum base and publishes the speeds that the board makes of its encoders, added up.
 
     Nothing stops the motors when the program falls silent: the board drives on (`watchdog` is none).
-    Faults that it counts: `bad packet`.
+    Faults that it counts: `bad packet`, `wheels disagree`. Lost, and so stopped until somebody arms the robot again,
+    also where one wheel is stuck or slips for `slip_s`.
     """
 
     sim_twin = "sim_base"
@@ -64,6 +69,7 @@ class Rosmaster(SerialMotor[RosmasterConfig, Drive]):
         self._parser = RosmasterParser()
         self._has_answered = False
         config = self.config
+        self._wheels = WheelWatch(ns(config.slip_s)) if config.slip_s else None
         self._car = _CARS[config.car]
         self._x, self._y, self._z = (
             -1.0 if reversed_ else 1.0 for reversed_ in (config.vx_reversed, config.vy_reversed, config.wz_reversed)
@@ -108,3 +114,15 @@ class Rosmaster(SerialMotor[RosmasterConfig, Drive]):
             self.publish_newer(Battery(now_ns, speed.voltage_v), _BATTERY_EVERY_S)
         elif report.kind in (packets.MPU, packets.ICM) and self.config.imu:
             self.publish_newer(Imu(now_ns, *packets.imu_of(report)))
+        elif report.kind == packets.ENCODERS and self._wheels is not None:
+            share = self._wheels.disagree(packets.encoders_of(report.data), now_ns)
+            if share is not None:
+                self._wheels = None
+                self._stuck(share)
+
+    def _stuck(self, share: float) -> None:
+        self.context.link.fault("wheels disagree", f"by {share:.0%} of the fastest one")
+        self._gone(
+            f"one wheel turns otherwise than the other three say, by {share:.0%} for {self.config.slip_s:g} s: is it "
+            "stuck, off the ground, or its encoder's plug out? `slip_s: 0` takes no notice"
+        )

@@ -26,6 +26,7 @@ LONGEST = 12
 
 _MOTION = struct.Struct("<Bhhh")
 _SPEED = struct.Struct("<hhhB")
+_ENCODERS = struct.Struct("<iiii")
 _SIX = struct.Struct("<hhhhhh")
 _MPU_GYRO = 1.0 / 3754.9  # 500 deg/s at full scale
 _MPU_ACCEL = 1.0 / 1671.84  # 2 g at full scale
@@ -85,6 +86,17 @@ def speed_data(speed: Speed) -> bytes:
     """The data of a SPEED report; for fakes and tests."""
     vx, vy, wz = (round(value * 1000) for value in speed[:3])
     return _SPEED.pack(vx, vy, wz, round(speed.voltage_v * 10))
+
+
+def encoders_of(data: bytes) -> tuple[int, int, int, int]:
+    """The content of an ENCODERS report: counts of motors M1 to M4, 32 bits each, which run over."""
+    one, two, three, four = _ENCODERS.unpack(data)
+    return one, two, three, four
+
+
+def encoders_data(counts: tuple[int, int, int, int]) -> bytes:
+    """The data of an ENCODERS report; for fakes and tests."""
+    return _ENCODERS.pack(*((count + (1 << 31)) % (1 << 32) - (1 << 31) for count in counts))
 
 
 def imu_of(report: Report) -> tuple[float, float, float, float, float, float]:
