@@ -55,7 +55,8 @@ class SerialMotor(Actuator[SerialConfigT, CommandT], Generic[SerialConfigT, Comm
     """The shell around a protocol. A driver says what to write and takes what was read; it never touches the port.
 
     Faults counted here: `no finite command`, `line full` (a command replaced one that the line did not take).
-    Lost where the port goes away or no good packet comes for `silent_s`.
+    Lost where the port goes away, takes no bytes for 0.2 s, or no good packet comes for `silent_s`. From a loss on it
+    obeys nothing until it is opened anew.
 
     make_port: what makes the port; a fake's in tests.
     """
@@ -215,7 +216,7 @@ class SerialMotor(Actuator[SerialConfigT, CommandT], Generic[SerialConfigT, Comm
     def apply(self, command: CommandT) -> None:
         if not isinstance(command, self.accepts):
             raise TypeError(f"{self.context.name} takes {self.accepts.__name__}, not {type(command).__name__}")
-        if self._line is None:
+        if self._line is None or self._why_lost:
             return
         if not all(map(math.isfinite, astuple(command))):
             self.context.link.fault("no finite command", repr(command))
@@ -236,11 +237,16 @@ class SerialMotor(Actuator[SerialConfigT, CommandT], Generic[SerialConfigT, Comm
 
     def _tick(self) -> None:
         loop = asyncio.get_running_loop()
+        late_s = loop.time() - self._next_s
         self._next_s = max(self._next_s + 1.0 / self.polls_hz, loop.time())
         self._beat = loop.call_at(self._next_s, self._tick)
         now_ns = self.context.clock.now_ns()
+        if late_s > 1.0 / self.polls_hz:
+            self._heard_ns += round(late_s * NS_PER_S)  # held up: then it was this program that was silent
         silent_s = (now_ns - self._heard_ns) / NS_PER_S
-        if silent_s > self.config.silent_s:
+        if self._line is not None and self._line.is_blocked():
+            self._gone(f"{self.path} takes no bytes for 0.2 s: does its USB adapter hang? Unplug it, plug it in again")
+        elif silent_s > self.config.silent_s:
             self._gone(
                 f"the controller on {self.path} is silent for {silent_s:.1f} s: is it powered, and is "
                 f"`baud: {self.config.baud}` right?"

@@ -19,6 +19,8 @@ MakePort: TypeAlias = Callable[
 FRESH_S = 0.06
 """A command that waited longer is not written any more: a program that was frozen meanwhile wakes up to a stop."""
 _DRAIN_S = 0.1
+BLOCKED_S = 0.2
+"""What was written and has not left the kernel for so long does not leave it any more."""
 
 
 class MotorLine:
@@ -53,6 +55,7 @@ class MotorLine:
         self._free_s = 0.0
         self._again = False
         self._timer: asyncio.TimerHandle | None = None
+        self._draining: asyncio.Task[bool] | None = None
 
     @property
     def path(self) -> str:
@@ -95,6 +98,17 @@ class MotorLine:
         self._again = True
         self._wait(self._again_s + self._wire_s(self.stop_bytes))
 
+    def is_blocked(self) -> bool:
+        """Whether a look that is over found bytes that did not leave for `BLOCKED_S`; begins the next look."""
+        if not self._is_open:
+            return False
+        looked, self._draining = self._draining, None
+        if looked is not None and not looked.done():
+            self._draining = looked
+            return False
+        self._draining = self._loop.create_task(self._port.drain(BLOCKED_S))
+        return looked is not None and not looked.cancelled() and not looked.result()
+
     async def close(self) -> None:
         """Write the stop as the last thing, give it 0.1 s to leave, let go. May be called twice."""
         was_open = self._is_open
@@ -107,6 +121,9 @@ class MotorLine:
     def _end(self) -> None:
         self._is_open, self._wanted = False, None
         atexit.unregister(self._at_exit)
+        if self._draining is not None:
+            self._draining.cancel()
+            self._draining = None
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None

@@ -58,7 +58,8 @@ class Vesc(SerialMotor[VescConfig, Steer]):
     """Drives a car and publishes its odometry (tachometer, and the steering that was written) and its battery.
 
     The firmware's own time limit (App settings, Timeout, 1000 ms as delivered) is the watchdog; whether yours is set
-    only a trial on a stand tells. Faults that it counts: `bad packet`, and the controller's own by name.
+    only a trial on a stand tells. Faults that it counts: `bad packet`, and the controller's own by name. Lost, and so
+    stopped until somebody arms the robot again, also where it reports one: by itself it would drive on after it.
     """
 
     sim_twin = "sim_car"
@@ -128,6 +129,9 @@ class Vesc(SerialMotor[VescConfig, Steer]):
 
     def _measured(self, values: Values, now_ns: int) -> None:
         self.faults_now(values.fault_names)
+        if values.fault_names:
+            self._gone(f"the VESC reports {' and '.join(sorted(values.fault_names))}: VESC Tool says more about it")
+            return
         self.publish_newer(Battery(now_ns, values.voltage_v, values.battery_a), _BATTERY_EVERY_S)
         config, before = self.config, self._counts
         self._counts = values.tachometer

@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import ClassVar
 
 from robotd_devices.motor import vesc_packets as vesc
 from robotd_devices.motor.vesc_packets import Values, VescParser
+from robotd_devices.ports.breakable import Breakable
 
 _MS = 1_000_000
+_OVER_CURRENT = 4
 
 
-class VescFake:
+class VescFake(Breakable):
     """`times_out`: releases the motor `timeout_ms` after the last command, as it does where the setting is left on.
 
     A question does not feed the time limit. `fault`: the code that it reports; with one the motor is let go.
     """
+
+    breaks: ClassVar[Mapping[str, str]] = MappingProxyType(
+        {"controller silent": "is_mute", "over-current": "draw_too_much"}
+    )
 
     def __init__(self, *, times_out: bool = True, timeout_ms: int = vesc.TIMEOUT_MS) -> None:
         self.is_mute = False
@@ -33,6 +42,10 @@ class VescFake:
         """The cable went in; the controller hangs on its battery and goes on."""
         self._parser = VescParser()
         self._out = b""
+
+    def draw_too_much(self, now_ns: int) -> None:
+        """It lets the motor go and reports why."""
+        self.fault = _OVER_CURRENT
 
     def erpm(self, now_ns: int) -> int:
         """Electrical revolutions a minute that the motor makes now."""

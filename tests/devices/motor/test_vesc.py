@@ -172,14 +172,20 @@ async def test_way_of_lost_answers_is_not_lost() -> None:
 
 
 @virtual_time
-async def test_faults_are_told_when_they_begin() -> None:
+async def test_a_fault_is_told_once_and_ends_the_drive_until_it_is_opened_anew() -> None:
     fake = VescFake()
     device, link, _ = motor(Vesc, fake, CAR)
-    await device.open()
-    for code in (0, 2, 0, 5):
+    for code, name in ((2, "under voltage"), (5, "controller too hot")):
+        await device.open()
+        await asyncio.sleep(0.1)
         fake.fault = code
         await asyncio.sleep(0.1)
-    assert [name for name, _ in link.faults] == ["under voltage", "controller too hot"]
+        assert link.faults[-1][0] == name
+        assert f"the VESC reports {name}" in str(link.losses[-1])
+        await device.close()
+        fake.fault = 0
+    assert (len(link.faults), len(link.losses)) == (2, 2)
+    await device.open()
     device.received(b"noise", now_ns())
     assert link.faults[-1][0] == "bad packet"
     await device.close()
