@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
-from typing import Any
+from types import MappingProxyType
+from typing import Any, ClassVar
 
 import numpy as np
+
+from robotd_devices.ports.breakable import Breakable
 
 HEAD = b"HTTP/1.1 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=frame\r\n\r\n"
 
@@ -36,10 +39,18 @@ def chunked(data: bytes, size: int = 700) -> bytes:
     return b"".join(b"%x\r\n%s\r\n" % (len(piece), piece) for piece in pieces)
 
 
-class MjpegServer:
-    """`respond(request)` gives the first bytes of each answer; `send` adds to all that are open, `cut` hangs up."""
+class MjpegServer(Breakable):
+    """`respond(request)` gives the first bytes of each answer; `send` adds to all that are open, `cut` hangs up.
+
+    `show` sends a picture as the faults have it that were injected.
+    """
+
+    breaks: ClassVar[Mapping[str, str]] = MappingProxyType(
+        {"torn picture": "cuts", "wrong length": "lies", "boundary in pieces": "drips"}
+    )
 
     def __init__(self) -> None:
+        self.cuts = self.lies = self.drips = False
         self.respond: Callable[[bytes], bytes] = lambda request: HEAD
         self.requests: list[bytes] = []
         self.port = 0
@@ -66,6 +77,17 @@ class MjpegServer:
         for writer in self._open:
             if not writer.is_closing():
                 writer.write(data)
+
+    async def show(self, number: int) -> None:
+        """A part with a picture: half of it, with a wrong length, or in many small writes, where it is to be."""
+        body = jpeg(number)
+        if self.cuts:
+            body = body[: len(body) // 2]
+        data = part(body, length=len(body) + 40 if self.lies else None)
+        step = 7 if self.drips else len(data)
+        for i in range(0, len(data), step):
+            self.send(data[i : i + step])
+            await asyncio.sleep(0)
 
     def cut(self) -> None:
         for writer in self._open:
