@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
+from importlib import metadata
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -34,6 +35,7 @@ from robotd.setup.doctor.machine import check_health, check_packages, check_plug
 from robotd.setup.doctor.sight import Sighting, Stream
 from robotd.setup.problems import ConfigError, Problem
 from robotd.world.messages import Battery, CameraFrame, Contact, Drive, Imu, LidarScan, Message, Odometry
+from robotd_devices.motor import roboclaw_packets, vesc_packets
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "devices" / "faults.md"
 
@@ -234,6 +236,16 @@ ROWS: list[tuple[str, Callable[[], list[Finding]]]] = [
     ("warns of itself", lambda: counted("health warning")),
     ("falls behind", lambda: counted("old scan dropped", "0.3 s old")),
     ("controller complains", lambda: counted("kill latched")),
+    ("weak battery", lambda: counted("battery low", "10.1 V")),
+    ("runs hot", lambda: counted("controller too hot")),
+    ("beyond the range", lambda: counted("beyond the range", "raise `gyro_range_dps`")),
+    ("picture black at times", lambda: counted("black picture")),
+    ("picture repeated", lambda: counted("repeated picture")),
+    ("picture spoilt", lambda: counted("torn picture")),
+    ("wheels disagree", lambda: counted("wheels disagree", "by 33% of the fastest one")),
+    ("command refused", lambda: counted("cannot reverse")),
+    ("moved while zeroing", lambda: counted("moved while zeroing")),
+    ("pad out of reach", lambda: counted("no event")),
     ("other fault", lambda: counted("whatever")),
     ("nothing measured", lambda: lidar([scan(np.nan)] * 3)),
     ("no return", lambda: lidar([scan(np.inf)] * 3)),
@@ -298,6 +310,32 @@ def test_a_driver_may_say_its_own_mend() -> None:
 def test_words_of_the_driver_stay() -> None:
     (finding,) = refused(DeviceUnavailable("lidar: the moon is full"))
     assert finding.cause == "the moon is full"
+
+
+def names_of(cls: type[Device[Any]]) -> set[str]:
+    """The faults that a shipped driver says, in its docstring, that it counts, and those of its controller's tables."""
+    told = " ".join((cls.__doc__ or "").split()).partition("Faults that it counts:")[2]
+    told = told.partition(". Lost")[0]
+    return set(re.findall(r"`([^`]+)`", told)) - {"rotation_hz", "idle_s"}
+
+
+SHIPPED = {
+    point.name: point.load()
+    for point in metadata.entry_points(group="robotd.devices")
+    if point.value.startswith("robotd_devices.") and not point.name.startswith("sim_")
+}
+TABLES = {*roboclaw_packets.FAULTS.values(), *vesc_packets.FAULTS.values()}
+
+
+def test_a_fault_of_a_shipped_driver_is_never_just_another_one() -> None:
+    named = {name: names_of(cls) for name, cls in SHIPPED.items()}
+    assert {"rplidar", "camera", "ina219", "rosmaster"} <= {name for name, faults in named.items() if faults}
+    shared = {"line full", "no finite command", "fault 99"}
+    unknown = {
+        fault for fault in set().union(*named.values(), TABLES, shared) - {"no return anywhere"}
+        if counted(fault)[0].fault == "other fault"
+    }  # fmt: skip
+    assert unknown == set()
 
 
 # ------------------------------------------------------------------------------------------- the page

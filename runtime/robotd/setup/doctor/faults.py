@@ -225,6 +225,30 @@ FAULTS: Mapping[str, Fault] = {
     "controller complains": _opening_doubt(
         "{count} times `{name}`{or_detail}", "switch it off and on; its page in docs"
     ),
+    "weak battery": _opening_doubt("{count} times `{name}`{or_detail}", "charge it before the robot drives"),
+    "runs hot": _opening_doubt("{count} times `{name}`{or_detail}", "let it cool down; less load, more air"),
+    "beyond the range": _opening_doubt(
+        "{count} times `{name}`{or_detail}", "a wider range in the config, where the sensor has one"
+    ),
+    "picture black at times": _opening_doubt("{count} times `{name}`{or_detail}", "light, lens cap, exposure"),
+    "picture repeated": _opening_doubt(
+        "{count} times `{name}`{or_detail}", "unplug it, plug it in; `frozen_s: 0` where the source may repeat itself"
+    ),
+    "picture spoilt": _opening_doubt(
+        "{count} times `{name}`{or_detail}", "cable, hub or network; a smaller picture or a lower `rate_hz`; the file"
+    ),
+    "wheels disagree": _opening_doubt(
+        "{count} times `{name}`{or_detail}", "a stuck wheel, one off the ground, or an encoder's plug"
+    ),
+    "command refused": _opening_doubt(
+        "{count} times `{name}`{or_detail}", "a behaviour asks for what this base cannot do: its page in docs/devices"
+    ),
+    "moved while zeroing": _opening_doubt(
+        "{count} times `{name}`{or_detail}", "let the robot stand still while it starts"
+    ),
+    "pad out of reach": _opening_doubt(
+        "{count} times `{name}`{or_detail}", "charge the pad, stay nearer; `idle_s` says how long it may be silent"
+    ),
     "other fault": _opening_doubt("{count} times `{name}`{or_detail}", "the device's page in docs/devices"),
     "nothing measured": _opening(
         "no beam of any scan was measured", "take off the cover, clean the window; sunlight blinds it"

@@ -35,14 +35,25 @@ WORDS: Sequence[tuple[str, str]] = (
 )
 """Words of drivers' sentences, in this order, to rows of the table: a driver that uses them is understood."""
 COUNTED: Sequence[tuple[str, str]] = (
+    (r"battery", "weak battery"),
+    (r"too hot|\bhot\b|over.?temp", "runs hot"),
     (r"voltage|supply|brown", "weak supply"),
     (r"health|protection stop|scan restarted|lidar reset|does not come back", "warns of itself"),
     (r"not turning|rotation off|speed and angles", "turns wrongly"),
-    (r"old scan|events dropped", "falls behind"),
-    (r"checksum|stray bytes|garbled|jumped|unreadable|no answer|packet|frame|node|I2C retry", "bad bytes"),
+    (r"old scan|events dropped|not ready in time", "falls behind"),
+    (r"beyond the range", "beyond the range"),
+    (r"black picture", "picture black at times"),
+    (r"repeated picture", "picture repeated"),
+    (r"picture", "picture spoilt"),
+    (r"wheels disagree|encoder jumped|speed error", "wheels disagree"),
+    (r"no finite command|cannot reverse", "command refused"),
+    (r"while zeroing", "moved while zeroing"),
+    (r"no event", "pad out of reach"),
+    (r"checksum|stray bytes|garbled|no answer|packet|frame|node|header|I2C retry", "bad bytes"),
     (r"alignment|impossible angle|clock or speed", "bad bytes"),
-    (r"latched|timed out|over.?current|over.?temp|without auto|line full|stall", "controller complains"),
-)
+    (r"latched|timed out|over.?current|without auto|line full|stall|emergency|driver fault|current error|^fault \d",
+     "controller complains"),
+)  # fmt: skip
 """The same for the names of faults that drivers count."""
 
 SLOW, GAP, LATE = 0.7, 3.0, 2.0
