@@ -13,6 +13,7 @@ from robotd.world.clock import ns
 from robotd.world.messages import Battery
 from robotd_devices.battery import ina219_chip as chip
 from robotd_devices.battery.charge import LITHIUM, charge
+from robotd_devices.battery.low import LowBattery
 from robotd_devices.ports.i2c_bus import I2cBus
 from robotd_devices.ports.i2c_sensor import I2cSensor, I2cSensorConfig
 
@@ -39,7 +40,7 @@ class Ina219Config(I2cSensorConfig):
     pack_ohm: float = Field(default=0.0, ge=0.0, le=5.0)
     """Inner resistance of the pack: what the current takes off its voltage is added before the table is asked."""
     low_cell_v: float = Field(default=3.5, ge=0.0, le=5.0)
-    """Volts of a cell below which `battery low` is counted; 0: never."""
+    """Volts of a cell below which the battery is low; 0: never."""
     low_after_s: float = Field(default=5.0, ge=0.0, le=600.0)
     """For so long it must be below without a break: motors that start pull it down for a moment."""
 
@@ -70,32 +71,30 @@ class Reading(NamedTuple):
 class Ina219(I2cSensor[Ina219Config, Battery, Reading]):
     """Publishes the pack's voltage and current. Stamps lie in the middle of the chip's average.
 
-    Faults that it counts: `I2C retry`, `current beyond the range`, `battery low`. Lost where a transaction fails three
-    times, and where the chip forgot its settings (its supply broke down).
+    Faults that it counts: `I2C retry`, `current beyond the range`, `battery low` (when it begins). Lost where a
+    transaction fails three times, and where the chip forgot its settings (its supply broke down).
     """
 
     sim_twin = "sim_battery"
-    _low_since_ns: int | None = None
 
     def prepare(self) -> None:
-        self._low_since_ns = None
+        config = self.config
+        self._low = LowBattery(config.low_cell_v * (config.cells or 0), ns(config.low_after_s))
+        self._was_low = False
 
     def take(self, reading: Reading, read_ns: int) -> None:
         config = self.config
-        cell_v = reading.voltage_v / config.cells if config.cells else math.nan
         known = math.nan
         if config.cells:
             current_a = 0.0 if math.isnan(reading.current_a) else reading.current_a
             known = charge((reading.voltage_v + current_a * config.pack_ohm) / config.cells, config.cell_table)
         if math.isnan(reading.current_a):
             self.context.link.fault("current beyond the range", f"more than {config.max_a:g} A: raise `max_a`")
-        if cell_v >= config.low_cell_v or math.isnan(cell_v):
-            self._low_since_ns = None
-        elif self._low_since_ns is None:
-            self._low_since_ns = read_ns
-        if self._low_since_ns is not None and read_ns - self._low_since_ns >= ns(config.low_after_s):
-            self.context.link.fault("battery low", f"{reading.voltage_v:.2f} V, {cell_v:.2f} V a cell: charge it")
-        self.publish(Battery(read_ns - ns(_AVERAGED_S / 2.0), reading.voltage_v, reading.current_a, known))
+        low = self._low.take(reading.voltage_v, read_ns)
+        if low and not self._was_low:
+            self.context.link.fault("battery low", f"{reading.voltage_v:.2f} V: charge it")
+        self._was_low = low
+        self.publish(Battery(read_ns - ns(_AVERAGED_S / 2.0), reading.voltage_v, reading.current_a, known, low))
 
     # ---------------------------------------------------------------------------- on the reader's thread
 

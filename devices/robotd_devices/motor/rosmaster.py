@@ -10,6 +10,7 @@ from robotd.authoring.device import Watchdog
 from robotd.world.clock import ns
 from robotd.world.kinematics import Mecanum, saturate
 from robotd.world.messages import Battery, Drive, Imu, Message, Odometry
+from robotd_devices.battery.low import LowBattery
 from robotd_devices.motor import rosmaster_packets as packets
 from robotd_devices.motor.rosmaster_packets import Report, RosmasterParser
 from robotd_devices.motor.rosmaster_wheels import WheelWatch
@@ -17,6 +18,7 @@ from robotd_devices.motor.serial_motor import SerialMotor, SerialMotorConfig
 
 _CARS = {"x3": 1, "x3_plus": 2}
 _BATTERY_EVERY_S = 0.5
+_LOW_AFTER_S = 5.0
 
 
 class RosmasterConfig(SerialMotorConfig):
@@ -40,6 +42,8 @@ class RosmasterConfig(SerialMotorConfig):
     """The board counts turns clockwise."""
     imu: bool = True
     """Publish what its inertial sensor measures."""
+    low_v: float = Field(default=10.5, ge=0.0, le=30.0)
+    """Below this for 5 s the battery is low; 10.5 V are 3.5 V a cell of the kit's three; 0: never."""
     slip_s: float = Field(default=0.2, ge=0.0, le=5.0)
     """For so long one wheel may turn otherwise than the other three say, then the base stops; 0: for ever."""
 
@@ -69,6 +73,7 @@ class Rosmaster(SerialMotor[RosmasterConfig, Drive]):
         self._parser = RosmasterParser()
         self._has_answered = False
         config = self.config
+        self._low = LowBattery(config.low_v, ns(_LOW_AFTER_S))
         self._wheels = WheelWatch(ns(config.slip_s)) if config.slip_s else None
         self._car = _CARS[config.car]
         self._x, self._y, self._z = (
@@ -111,7 +116,8 @@ class Rosmaster(SerialMotor[RosmasterConfig, Drive]):
             speed = packets.speed_of(report.data)
             drive = Drive(self._x * speed.vx_mps, self._z * speed.wz_radps, self._y * speed.vy_mps)
             self.publish_newer(self.pose.speed(drive, now_ns))
-            self.publish_newer(Battery(now_ns, speed.voltage_v), _BATTERY_EVERY_S)
+            low = self._low.take(speed.voltage_v, now_ns)
+            self.publish_newer(Battery(now_ns, speed.voltage_v, low=low), _BATTERY_EVERY_S)
         elif report.kind in (packets.MPU, packets.ICM) and self.config.imu:
             self.publish_newer(Imu(now_ns, *packets.imu_of(report)))
         elif report.kind == packets.ENCODERS and self._wheels is not None:

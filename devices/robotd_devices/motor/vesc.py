@@ -7,8 +7,10 @@ from typing import ClassVar
 from pydantic import Field, model_validator
 
 from robotd.authoring.device import Watchdog
+from robotd.world.clock import ns
 from robotd.world.kinematics import Ackermann
 from robotd.world.messages import Battery, Drive, Message, Odometry, Steer
+from robotd_devices.battery.low import LowBattery
 from robotd_devices.motor import vesc_packets as packets
 from robotd_devices.motor.serial_motor import SerialMotor, SerialMotorConfig
 from robotd_devices.motor.serial_motor_odometry import wrapped
@@ -17,6 +19,7 @@ from robotd_devices.motor.vesc_packets import Values, VescParser
 _COUNTS_TO_ERPM = 10.0
 """A metre is as many tachometer counts as a metre a second is eRPM, over this: six counts a turn, sixty seconds."""
 _BATTERY_EVERY_S = 0.5
+_LOW_AFTER_S = 5.0
 
 
 class VescConfig(SerialMotorConfig):
@@ -44,6 +47,8 @@ class VescConfig(SerialMotorConfig):
     """For a slower command the motor is stopped rather than held at a speed."""
     brake_a: float = Field(default=0.0, ge=0.0, le=100.0)
     """Braking current of a stop; 0 lets the motor go, so that the car rolls out."""
+    low_v: float = Field(default=0.0, ge=0.0, le=100.0)
+    """Below this for 5 s the battery is low, say 3.5 V a cell; 0: never."""
     poll_hz: float = Field(default=50.0, ge=5.0, le=100.0)
     """How often its values are asked for, and the odometry published."""
 
@@ -81,6 +86,7 @@ class Vesc(SerialMotor[VescConfig, Steer]):
         self._parser = VescParser()
         self._has_answered = False
         self._counts: int | None = None
+        self._low = LowBattery(self.config.low_v, ns(_LOW_AFTER_S))
         self._steering_rad = 0.0
         self._sign = -1 if self.config.speed_reversed else 1
 
@@ -132,7 +138,8 @@ class Vesc(SerialMotor[VescConfig, Steer]):
         if values.fault_names:
             self._gone(f"the VESC reports {' and '.join(sorted(values.fault_names))}: VESC Tool says more about it")
             return
-        self.publish_newer(Battery(now_ns, values.voltage_v, values.battery_a), _BATTERY_EVERY_S)
+        low = self._low.take(values.voltage_v, now_ns)
+        self.publish_newer(Battery(now_ns, values.voltage_v, values.battery_a, low=low), _BATTERY_EVERY_S)
         config, before = self.config, self._counts
         self._counts = values.tachometer
         if before is None:

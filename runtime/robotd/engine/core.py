@@ -15,6 +15,7 @@ inputs and must get the same commands, bit for bit.
 from __future__ import annotations
 
 import logging
+import math
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -44,6 +45,8 @@ from robotd.safety.operator import (
 from robotd.world.clock import ns
 from robotd.world.messages import (
     ActiveGoal,
+    Battery,
+    BatteryLow,
     Drive,
     EStopped,
     Event,
@@ -97,6 +100,8 @@ class Core:
         self.needed_devices = needed_devices(parts, graph)
         self._expiries_armed: set[tuple[int, int]] = set()
         self._acting = False
+        self.complaints: dict[str, str] = {}
+        """Name of a device that is open to what is wrong with it all the same."""
         self._late: deque[Callable[[], object]] = deque()
         self._latest = {
             node.index: tuple(
@@ -121,6 +126,8 @@ class Core:
         if self._journal is not None:
             self._journal.note("message", slot.topic.name, now_ns, message)
         slot.put(message, message.stamp_ns)
+        if message.__class__ is Battery:
+            self._watch_battery(slot.source, message, now_ns)
         if slot.downstream:
             self._visit(slot.downstream, now_ns)
         self._act(now_ns)
@@ -212,6 +219,7 @@ class Core:
         if self._journal is not None:
             self._journal.note("lost", name, now_ns, reason)
         self._open[name] = False
+        self.complaints.pop(name, None)
         if name not in self._device_slots:
             self.needed_devices |= {name}
         for slot in self._device_slots.get(name, ()):
@@ -487,6 +495,20 @@ class Core:
         slot.put(message, message.stamp_ns)
         if slot.downstream:
             self._visit(slot.downstream, message.stamp_ns)
+
+    def _watch_battery(self, device: str, battery: Message, now_ns: int) -> None:
+        """Say it once when a pack becomes low, and as long as it is, in the status."""
+        assert isinstance(battery, Battery)
+        if not battery.low:
+            if self.complaints.pop(device, None):
+                log.info("%s: the battery is not low any more", device)
+            return
+        began = device not in self.complaints
+        left = "" if math.isnan(battery.charge) else f", {battery.charge:.0%}"
+        self.complaints[device] = words = f"battery low: {battery.voltage_v:.1f} V{left}"
+        if began:
+            log.warning("%s: %s: charge it", device, words)
+            self._emit(BatteryLow(now_ns, device, battery.voltage_v, battery.charge))
 
     def _emit(self, event: Event) -> None:
         for listener in self.on_event:

@@ -138,7 +138,10 @@ class RuntimeHandle:
             reason=core.standing_reason,
             behaviours=behaviours,
             streams=streams,
-            devices=tuple(DeviceStatus(kept.name, kept.state, kept.detail) for kept in self._runtime.devices)
+            devices=tuple(
+                DeviceStatus(kept.name, kept.state, kept.detail or core.complaints.get(kept.name, ""))
+                for kept in self._runtime.devices
+            )
             + self._guardian(),
             command=core.way_down.command,
             by=winner.by if winner is not None else "",

@@ -36,7 +36,7 @@ class StreamStatus:
 
 @dataclass(frozen=True, slots=True)
 class DeviceStatus:
-    """One device; `detail` says why it is not open."""
+    """One device; `detail` says why it is not open, or what is wrong with it all the same (a low battery)."""
 
     name: str
     state: DeviceState

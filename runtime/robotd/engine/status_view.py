@@ -153,7 +153,7 @@ def _command(status: Status, scale: Scale, width: int) -> str:
 def _devices(devices: Sequence[DeviceStatus]) -> list[str]:
     if not devices:
         return []
-    trouble = [device for device in devices if device.state != "open"]
+    trouble = [device for device in devices if device.state != "open" or device.detail]
     fine = [device.name for device in devices if device.state == "open"]
     names = max((width_of(device.name) for device in trouble), default=0)
     rows = [f"devices  {len(fine)} of {len(devices)} open{': ' + ', '.join(fine) if fine else ''}"]

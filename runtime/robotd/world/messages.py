@@ -169,11 +169,12 @@ class Imu(Message):
 
 @dataclass(frozen=True, slots=True)
 class Battery(Message):
-    """Pack voltage and current (positive = discharging); `charge` 0..1, nan where unknown."""
+    """Pack voltage and current (positive = discharging); `charge` 0..1, nan where unknown; `low`: charge it now."""
 
     voltage_v: float
     current_a: float = math.nan
     charge: float = math.nan
+    low: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,6 +275,15 @@ class Outcome(Event):
     behaviour: str
     result: str
     reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class BatteryLow(Event):
+    """A pack became low: `device` measures it. `charge` 0..1, nan where unknown."""
+
+    device: str
+    voltage_v: float
+    charge: float = math.nan
 
 
 @dataclass(frozen=True, slots=True)

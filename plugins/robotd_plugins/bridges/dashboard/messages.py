@@ -26,7 +26,7 @@ import numpy as np
 
 from robotd import LidarScan
 from robotd.authoring.explain import Drawing, Explanation, Histogram
-from robotd.world.messages import EStopped, Event, Outcome
+from robotd.world.messages import BatteryLow, EStopped, Event, Outcome
 from robotd.world.robot import Robot
 
 PROTOCOL = 1
@@ -113,6 +113,8 @@ def event_text(event: Event) -> str:
     match event:
         case EStopped():
             return f"e-stop by {event.source}" + (f": {event.reason}" if event.reason else "")
+        case BatteryLow():
+            return f"battery low: {event.voltage_v:.1f} V ({event.device})"
         case Outcome():
             return f"{event.behaviour} {event.result}" + (f": {event.reason}" if event.reason else "")
     fields = [f.name for f in dataclasses.fields(event) if f.name != "stamp_ns"]

@@ -132,8 +132,8 @@ export function showStreams(table, streams) {
 export function showDevices(list, devices) {
   keep(list, devices, (d) => d.name, () => make("li"), (item, d) => {
     const open = d.state === "open";
-    item.classList.toggle("bad", !open);
-    setText(item, open ? d.name : `${d.name} ${d.state}${d.detail ? `: ${d.detail}` : ""}`);
+    item.classList.toggle("bad", !open || d.detail !== "");
+    setText(item, open && !d.detail ? d.name : `${d.name} ${d.state}${d.detail ? `: ${d.detail}` : ""}`);
   });
 }
 
