@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import asyncio
-import contextlib
-import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
-from robotd.authoring.device import DeviceError, DeviceUnavailable
+from robotd.authoring.device import DeviceError, DeviceLost, DeviceUnavailable
 from robotd.world.clock import NS_PER_S, Clock
 from robotd.world.messages import Bytes2D
 from robotd_devices.camera.checks import FrameCheck
 from robotd_devices.camera.mjpeg_slot import JpegSlot
 from robotd_devices.camera.shape import Shape
+from robotd_devices.ports.device_thread import DeviceThread, Newest
 
-CLOSE_WITHIN_S = 0.15
 _POS_MSEC = 0
 """OpenCV's CAP_PROP_POS_MSEC; of a V4L2 camera it is the driver's stamp of the last picture, on the monotonic clock."""
 
@@ -78,45 +75,30 @@ class Grabber:
         on_fault: Callable[[str, str], None],
         on_lost: Callable[[str], None],
     ) -> None:
-        self.overwritten = 0
-        """Pictures that the loop was too slow for."""
         self._open_capture = open_capture
         self._shape = shape
         self._timing = timing
         self._check = check
-        self._on_picture = on_picture
-        self._on_fault = on_fault
-        self._on_lost = on_lost
-        self._slot: Grabbed | None = None
-        self._asked = False
-        self._lock = threading.Lock()
-        self._stopping = threading.Event()
-        self._ready = asyncio.Event()
-        self._ended = asyncio.Event()
-        self._why_not: DeviceError | None = None
-        self._loop = asyncio.get_running_loop()
-        self._thread = threading.Thread(target=self._run, name=f"camera {name}", daemon=True)
+        self._thread = DeviceThread(f"camera {name}", self._run, on_fault=on_fault, on_lost=on_lost)
+        self._newest = Newest[Grabbed](self._thread, on_picture)
 
     @property
     def is_alive(self) -> bool:
         """Whether the thread still runs, or hangs."""
-        return self._thread.is_alive()
+        return self._thread.is_alive
+
+    @property
+    def overwritten(self) -> int:
+        """Pictures that the loop was too slow for."""
+        return self._newest.overwritten
 
     async def open(self) -> None:
         """Start the thread, wait until the capture is open. Raises DeviceError; safe to cancel."""
-        self._thread.start()
-        await self._ready.wait()
-        if self._why_not is not None:
-            raise self._why_not
+        await self._thread.open()
 
     async def close(self) -> bool:
         """Let go; False where the thread hangs: it will end by itself or never."""
-        self._stopping.set()
-        if self._thread.is_alive():
-            with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(CLOSE_WITHIN_S):
-                    await self._ended.wait()
-        return self._ended.is_set() or not self._thread.is_alive()
+        return await self._thread.close()
 
     # ------------------------------------------------------------------------------------- on the thread
 
@@ -124,75 +106,36 @@ class Grabber:
         capture: Capture | None = None
         try:
             capture = self._open_capture()
-            self._tell(self._ready.set)
+            self._thread.ready()
             self._read(capture)
+        except DeviceError as error:
+            self._thread.fail(error)
         except Exception as error:
-            self._tell(self._fail, error)
+            self._thread.fail(DeviceUnavailable(f"{type(error).__name__}: {error}"))
         finally:
             if capture is not None:
                 capture.release()
-            self._tell(self._ended.set)
 
     def _read(self, capture: Capture) -> None:
         sequence = 0
-        while not self._stopping.is_set():
+        while not self._thread.closing.is_set():
             if not capture.grab():
-                self._tell(self._lose, "no picture came any more: is its cable in, and its supply strong enough?")
-                return
+                raise DeviceLost("no picture came any more: is its cable in, and its supply strong enough?")
             stamp_ns = self._timing.stamp_ns(capture)
             sequence = capture.number if isinstance(capture, JpegSlot) else sequence + 1
             found, raw = capture.retrieve()
             if not found or raw is None:
-                self._tell(self._fault, "picture dropped", "it could not be decoded")
+                self._thread.fault("picture dropped", "it could not be decoded")
                 continue
             try:
                 picture = Grabbed(self._shape.apply(raw), stamp_ns, sequence)
             except ValueError as error:
-                self._tell(self._fault, "picture dropped", str(error))
+                self._thread.fault("picture dropped", str(error))
                 continue
             verdict = self._check.judge(raw, self._timing.clock.now_ns())
             for fault in verdict.faults:
-                self._tell(self._fault, *fault)
+                self._thread.fault(*fault)
             if verdict.lost:
-                self._tell(self._lose, verdict.lost)
-                return
+                raise DeviceLost(verdict.lost)
             if verdict.publish:
-                self._hand_over(picture)
-
-    def _hand_over(self, picture: Grabbed) -> None:
-        with self._lock:
-            if self._slot is not None:
-                self.overwritten += 1
-            self._slot = picture
-            asked, self._asked = self._asked, True
-        if not asked:
-            self._tell(self._take)
-
-    def _tell(self, call: Callable[..., None], *args: object) -> None:
-        with contextlib.suppress(RuntimeError):  # the loop is closed: nobody is left to hear
-            self._loop.call_soon_threadsafe(call, *args)
-
-    # --------------------------------------------------------------------------------------- on the loop
-
-    def _take(self) -> None:
-        with self._lock:
-            picture, self._slot = self._slot, None
-            self._asked = False
-        if picture is not None and not self._stopping.is_set():
-            self._on_picture(picture)
-
-    def _fault(self, name: str, detail: str) -> None:
-        if not self._stopping.is_set():
-            self._on_fault(name, detail)
-
-    def _lose(self, reason: str) -> None:
-        if not self._stopping.is_set():
-            self._on_lost(reason)
-
-    def _fail(self, error: Exception) -> None:
-        told = error if isinstance(error, DeviceError) else DeviceUnavailable(f"{type(error).__name__}: {error}")
-        if not self._ready.is_set():
-            self._why_not = told
-            self._ready.set()
-        else:
-            self._lose(str(told))
+                self._newest.put(picture)

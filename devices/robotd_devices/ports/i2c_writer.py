@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import atexit
 import contextlib
 import math
@@ -14,6 +13,7 @@ from functools import partial
 from typing import Generic, TypeVar
 
 from robotd.authoring.device import DeviceError, DeviceUnavailable
+from robotd_devices.ports.device_thread import DeviceThread
 from robotd_devices.ports.i2c_bus import I2cBus, I2cWrite
 
 T = TypeVar("T")
@@ -22,7 +22,6 @@ FRESH_S = 0.06
 """An older command is not written any more: a program that was frozen half way through one wakes up to a stop."""
 RETRIES = 2
 RETRY_AFTER_S = 0.002
-_CLOSE_WITHIN_S = 0.15
 
 
 @dataclass(frozen=True)
@@ -64,27 +63,17 @@ class I2cWriter(Generic[T]):
         self._chip = chip
         self._open_bus = open_bus
         self._on_written = on_written
-        self._on_fault = on_fault
-        self._on_lost = on_lost
         self._mail = threading.Condition()
         self._wanted: T | None = None
         self._until_s = 0.0
         self._stop_due = False
         self._closing = False
-        self._silent = False
-        self._ready = asyncio.Event()
-        self._ended = asyncio.Event()
-        self._why_not: DeviceError | None = None
-        self._loop = asyncio.get_running_loop()
-        self._thread = threading.Thread(target=self._run, name=f"i2c writer {name}", daemon=True)
+        self._thread = DeviceThread(f"i2c writer {name}", self._run, on_fault=on_fault, on_lost=on_lost)
 
     async def open(self) -> None:
         """Start the thread, wait until the chip is ready. Raises DeviceError; safe to cancel, then call `close`."""
         atexit.register(self._at_exit)
-        self._thread.start()
-        await self._ready.wait()
-        if self._why_not is not None:
-            raise self._why_not
+        await self._thread.open()
 
     def put(self, command: T) -> None:
         """The command to write next; one that still waits is forgotten. Never blocks."""
@@ -103,12 +92,8 @@ class I2cWriter(Generic[T]):
     async def close(self) -> None:
         """Write the stop as the last thing and let go; a thread that a stuck bus holds is left to end by itself."""
         atexit.unregister(self._at_exit)
-        self._silent = True
         self._end()
-        if self._thread.is_alive():
-            with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(_CLOSE_WITHIN_S):
-                    await self._ended.wait()
+        await self._thread.close()
 
     def _end(self) -> None:
         with self._mail:
@@ -119,7 +104,7 @@ class I2cWriter(Generic[T]):
     def _at_exit(self) -> None:
         """The program ends without closing its devices: the stop all the same."""
         self._end()
-        self._thread.join(_CLOSE_WITHIN_S)
+        self._thread.join()
 
     # ------------------------------------------------------------------------------------- on the thread
 
@@ -128,16 +113,15 @@ class I2cWriter(Generic[T]):
         try:
             bus = self._open_bus()
             self._chip.begin(bus)
-            self._tell(self._ready.set)
+            self._thread.ready()
             self._serve(bus)
         except Exception as error:
-            self._give_up(error)
+            self._thread.fail(why_lost(error, self._chip.explain, "writer"))
         finally:
             if bus is not None:
                 self._stop_at_last(bus)
                 with contextlib.suppress(OSError):
                     bus.close()
-            self._tell(self._ended.set)
 
     def _serve(self, bus: I2cBus) -> None:
         chip = self._chip
@@ -157,10 +141,10 @@ class I2cWriter(Generic[T]):
                 for write in chip.stop:
                     self._attempt(partial(bus.write, *write))
                 written = None
-                self._report(None)
+                self._thread.tell(self._on_written, None)
             elif wanted is not None and self._write_all(bus, chip.plan(written, wanted)):
                 written = wanted
-                self._report(wanted)
+                self._thread.tell(self._on_written, wanted)
             if time.monotonic() >= check_at_s:
                 self._attempt(partial(chip.check, bus))
                 check_at_s = time.monotonic() + chip.check_s
@@ -188,7 +172,7 @@ class I2cWriter(Generic[T]):
                 if attempt == RETRIES:
                     raise
                 if not quiet:
-                    self._tell(self._fault, "I2C retry", self._chip.explain(error))
+                    self._thread.fault("I2C retry", self._chip.explain(error))
                 time.sleep(RETRY_AFTER_S)
         return False
 
@@ -197,35 +181,11 @@ class I2cWriter(Generic[T]):
             for write in self._chip.stop:
                 self._attempt(partial(bus.write, *write), quiet=True)
 
-    def _give_up(self, error: Exception) -> None:
-        if isinstance(error, OSError):
-            told: DeviceError = DeviceUnavailable(self._chip.explain(error))
-        elif isinstance(error, DeviceError):
-            told = error
-        else:
-            told = DeviceError(f"the writer failed: {type(error).__name__}: {error}")
-        self._tell(self._lose, told)
 
-    def _report(self, command: T | None) -> None:
-        self._tell(self._written, command)
-
-    def _tell(self, call: Callable[..., None], *args: object) -> None:
-        with contextlib.suppress(RuntimeError):  # the loop is closed: nobody is left to hear
-            self._loop.call_soon_threadsafe(call, *args)
-
-    # --------------------------------------------------------------------------------------- on the loop
-
-    def _written(self, command: T | None) -> None:
-        if not self._silent:
-            self._on_written(command)
-
-    def _fault(self, name: str, detail: str) -> None:
-        if not self._silent:
-            self._on_fault(name, detail)
-
-    def _lose(self, error: DeviceError) -> None:
-        if not self._ready.is_set():
-            self._why_not = error
-            self._ready.set()
-        elif not self._silent:
-            self._on_lost(str(error))
+def why_lost(error: Exception, explain: Callable[[OSError], str], who: str) -> DeviceError:
+    """What ended a thread's work, in words for a user; anything but an OSError or a DeviceError is our own mistake."""
+    if isinstance(error, OSError):
+        return DeviceUnavailable(explain(error))
+    if isinstance(error, DeviceError):
+        return error
+    return DeviceError(f"the {who} failed: {type(error).__name__}: {error}")
