@@ -29,7 +29,7 @@ class YdlidarConfig(Config):
 
     port: str = Field(default="/dev/serial/by-id/usb-Silicon_Labs_CP210*", min_length=1)
     """Serial port by its stable name, or a pattern that fits one; the default is the kit's own adapter."""
-    model: Literal["x4", "x2", "x3", "g4", "scl", "tmini"] = "x4"
+    model: Literal["x4", "x2", "x3", "g4", "scl", "tmini", "tmini_plus"] = "x4"
     """Which lidar it is: the packets do not say, and samples are read differently."""
     baud: int | None = Field(default=None, ge=9_600, le=4_000_000)
     """Speed of the line; by default the model's."""

@@ -60,7 +60,7 @@ def test_each_model_is_started_and_read(monkeypatch: pytest.MonkeyPatch, model: 
             assert scan.stamp_ns < arrived_ns <= scan.stamp_ns + 40_000_000
             left = int(np.argmin(np.abs(scan.angles_rad - math.pi / 2)))
             assert scan.ranges_m[left] == pytest.approx(1.5, abs=0.002)
-            assert (scan.intensities is not None) == (model == "scl")
+            assert (scan.intensities is not None) == (model in ("scl", "tmini_plus"))
         await lidar.close()
         assert fake.turning != fake.model.commanded
         assert fake.requests[-1:] == ([STOP] if fake.model.commanded else [])

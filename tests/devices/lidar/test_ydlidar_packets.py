@@ -81,6 +81,15 @@ def test_beams_leave_the_head_under_the_angle_of_the_lens(model: str, mm: float,
         assert degrees == pytest.approx(math.degrees(math.atan(21.8 * (155.3 - mm) / (155.3 * mm))), abs=0.005)
 
 
+# a sample of a T-mini Plus that took what it saw for glass (2 in the two lowest bits), and one like it of an SCL
+@pytest.mark.parametrize(("model", "brightness"), [("tmini_plus", 0x83), ("scl", (0x83 | 2 << 8) >> 2)])
+def test_two_bits_below_the_distance_belong_to_the_intensity_or_not(model: str, brightness: int) -> None:
+    mm, intensity = decode_samples(MODELS[model], b"\x83" + (1234 << 2 | 2).to_bytes(2, "little"))
+    assert mm.tolist() == [1234.0]
+    assert intensity is not None
+    assert intensity.tolist() == [brightness]
+
+
 @pytest.mark.parametrize("model", MODELS)
 @given(st.lists(st.integers(0, 16_000), min_size=1, max_size=80))
 def test_what_is_encoded_is_decoded(model: str, values: list[int]) -> None:
