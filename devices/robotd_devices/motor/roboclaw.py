@@ -16,7 +16,8 @@ from robotd_devices.motor.roboclaw_packets import Answer, RoboClawReader
 from robotd_devices.motor.serial_motor import SerialMotor, SerialMotorConfig
 from robotd_devices.motor.serial_motor_odometry import CountOdometry
 
-_LATE_NS = 50_000_000
+_PATIENCE_NS = (50_000_000, 200_000_000)
+"""For how long an answer is waited for: at least, and at most where answers come late."""
 _FED_NS = 150_000_000
 _SELDOM_S = 1.0
 _LONGEST_TIMEOUT_MS = 500
@@ -53,8 +54,10 @@ class RoboClaw(SerialMotor[RoboClawConfig, Drive]):
     """Drives two wheels by the controller's speed control, which must be tuned (Motion Studio) with its encoders.
 
     One question is open at a time, and none while the robot moves on a command that nobody renews: any byte feeds the
-    controller's time limit. Faults that it counts: `no answer`, `stray bytes`, `encoder jumped`, and the controller's
-    own by name.
+    controller's time limit. Behind a question without an answer the time limit is asked for: its answer says that the
+    late one has gone by, so that no count is taken for a later one. Faults that it counts: `no answer`, `stray bytes`,
+    `encoder jumped`, and the controller's own by name. Lost where the time limit is not the one that was written: the
+    controller was switched off and on behind its adapter.
     """
 
     sim_twin = "sim_base"
@@ -83,6 +86,7 @@ class RoboClaw(SerialMotor[RoboClawConfig, Drive]):
         self._timeout_tenths: int | None = None
         self._count_1: int | None = None
         self._asked_ns = 0
+        self._patience_ns = _PATIENCE_NS[0]
         self._fed_ns = self._seldom_ns = 0
         self._due: list[int] = []
         self._current_a = math.nan
@@ -145,19 +149,27 @@ class RoboClaw(SerialMotor[RoboClawConfig, Drive]):
         return True
 
     def poll(self, now_ns: int) -> None:
-        if not self._reader.is_free:
-            if now_ns - self._asked_ns < _LATE_NS:
+        if self._reader.open is not None:
+            if now_ns - self._asked_ns < self._patience_ns:
                 return
-            self._reader.give_up()
-            self.context.link.fault("no answer", "a question was not answered within 50 ms")
+            self._no_answer(self._reader.open)
         if self._is_moving and now_ns - self._fed_ns > _FED_NS:
             return  # nobody renews the command: let the controller's time limit run out
         if not self._due:
             self._due = [packets.ENCODER_1, packets.ENCODER_2]
             if now_ns - self._seldom_ns >= _SELDOM_S * NS_PER_S:
                 self._seldom_ns = now_ns
-                self._due += [packets.CURRENTS, packets.BATTERY] + [packets.STATUS] * self.config.read_status
+                self._due += [packets.GET_TIMEOUT, packets.CURRENTS, packets.BATTERY]
+                self._due += [packets.STATUS] * self.config.read_status
         self._ask_next()
+
+    def _no_answer(self, command: int) -> None:
+        self.context.link.fault("no answer", f"a question was not answered within {self._patience_ns / 1e6:.0f} ms")
+        self._patience_ns = min(2 * self._patience_ns, _PATIENCE_NS[1])
+        self._reader.give_up()
+        self._count_1 = None
+        rest = [due for due in self._due if due not in (packets.GET_TIMEOUT, packets.ENCODER_2)]
+        self._due = [packets.GET_TIMEOUT, *rest]
 
     def _ask_next(self) -> None:
         if self._due and self.ask(packets.question(self.config.address, self._due[0])):
@@ -172,8 +184,9 @@ class RoboClaw(SerialMotor[RoboClawConfig, Drive]):
             self._reader.faults = 0
             self.context.link.fault("stray bytes", "noise on the line, or the wrong baud")
         if answer is not None:
+            took_ns = now_ns - self._asked_ns
+            self._patience_ns = min(max(2 * took_ns, self._patience_ns * 7 // 8, _PATIENCE_NS[0]), _PATIENCE_NS[1])
             self._take(answer, now_ns)
-            self.heard(now_ns)
             self._ask_next()  # both encoders are read as close together as the line allows
 
     def _take(self, answer: Answer, now_ns: int) -> None:
@@ -181,11 +194,14 @@ class RoboClaw(SerialMotor[RoboClawConfig, Drive]):
         if command == packets.VERSION:
             self._version = data.rstrip(b"\n\0").decode("ascii", "replace")
         elif command == packets.GET_TIMEOUT:
+            if self._timeout_tenths is not None and data[0] != self._timeout_tenths:
+                self._gone("the controller has forgotten its time limit: was it switched off and on?")
             self._timeout_tenths = data[0]
         elif command == packets.ENCODER_1:
             self._count_1 = packets.count_of(data)
         elif command == packets.ENCODER_2 and self._count_1 is not None:
             self._counted(self._count_1, packets.count_of(data), now_ns)
+            self._count_1 = None
         elif command == packets.CURRENTS:
             self._current_a = sum(int.from_bytes(data[i : i + 2], "big", signed=True) for i in (0, 2)) / 100
         elif command == packets.BATTERY:

@@ -21,8 +21,9 @@ ANSWER_BYTES = {GET_TIMEOUT: 1, ENCODER_1: 5, ENCODER_2: 5, BATTERY: 2, CURRENTS
 LONGEST = 12
 """Bytes of the longest command of ours."""
 ACKNOWLEDGED = 0xFF
-_MOST_ACKS = 8
 _VERSION_BYTES = 48
+_LONGEST_REST = 128
+_MOST_LATE = 4
 
 FAULTS = {
     0x000001: "emergency stop input",
@@ -98,61 +99,72 @@ class Answer(NamedTuple):
 
 
 class RoboClawReader:
-    """Tells acknowledgements and the answer to the one open question apart. `asked` opens it; one at a time.
+    """Finds the answer to the one open question. `asked` opens it; one at a time.
 
-    Answers have no header: those of commands that were written before the question stand before its own, one byte FF
-    each, so the answer is looked for behind 0 to 8 of them, and its checksum decides.
+    Answers have no header, and what stands before one has none either: acknowledgements of commands, one byte FF each,
+    a late answer to a question that was given up, or half of one. So the answer is looked for from every byte on, and
+    its checksum decides; the wrong bytes pass it once in 65536 places.
     """
 
     def __init__(self, address: int) -> None:
         self._address = address
         self._open: int | None = None
         self._rest = b""
+        self._late = 0
         self.acknowledged = 0
         """Commands that were answered while no question was open."""
         self.faults = 0
         """Runs of bytes that were neither; the reader sets it back."""
 
     @property
-    def is_free(self) -> bool:
-        """Whether no question is open."""
-        return self._open is None
+    def open(self) -> int | None:
+        """The command of the open question; None where there is none."""
+        return self._open
 
     def asked(self, command: int) -> None:
         """A question was written."""
         self._open, self._rest = command, b""
 
     def give_up(self) -> None:
-        """The answer does not come any more."""
+        """The answer is not waited for any more; where it comes all the same, it is passed over."""
         self._open, self._rest = None, b""
+        self._late = min(self._late + 1, _MOST_LATE)
 
     def feed(self, data: bytes) -> Answer | None:
         """The answer that these bytes complete."""
         if self._open is None:
             acks = data.count(ACKNOWLEDGED)
             self.acknowledged += acks
-            self.faults += acks < len(data)
+            self._strange(len(data) - acks)
             return None
         self._rest += data
-        for at in range(_MOST_ACKS + 1):
-            size = self._size(at)
-            if size is not None and len(self._rest) >= at + size + 2:
-                found = self._rest[at : at + size]
-                if self._rest[at + size : at + size + 2] == answer(self._address, self._open, found)[-2:]:
-                    command, rest = self._open, self._rest[at + size + 2 :]
-                    self.give_up()
-                    self.feed(rest)
-                    return Answer(command, found)
-            if self._rest[at : at + 1] != b"\xff":
-                break
-        if len(self._rest) > _MOST_ACKS + _VERSION_BYTES + 2:
-            self.faults += 1
-            self.give_up()
+        for at in range(len(self._rest)):
+            end = self._end(at)
+            if end is None or end + 2 > len(self._rest):
+                continue
+            found = self._rest[at:end]
+            if self._rest[at : end + 2] == answer(self._address, self._open, found):
+                command, before, behind = self._open, self._rest[:at], self._rest[end + 2 :]
+                self._strange(len(before) - before.count(ACKNOWLEDGED))
+                self._open, self._rest = None, b""
+                self.feed(behind)
+                return Answer(command, found)
+        if len(self._rest) > _LONGEST_REST:
+            self._strange(_LONGEST_REST)
+            self._rest = self._rest[-_VERSION_BYTES - 1 :]
         return None
 
-    def _size(self, at: int) -> int | None:
+    def _strange(self, count: int) -> None:
+        """So many bytes were neither; behind questions that were given up they are their late answers."""
+        if count and self._late:
+            self._late -= 1
+        elif count:
+            self.faults += 1
+
+    def _end(self, at: int) -> int | None:
+        """Where the data of an answer that begins there would end; None where that cannot be said."""
         assert self._open is not None
         if self._open != VERSION:
-            return ANSWER_BYTES[self._open]
-        end = self._rest.find(b"\0", at, at + _VERSION_BYTES)
-        return end + 1 - at if end >= 0 else None
+            return at + ANSWER_BYTES[self._open]
+        end = self._rest.find(b"\0", at, at + _VERSION_BYTES) + 1
+        return end or None
