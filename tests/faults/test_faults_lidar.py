@@ -22,8 +22,8 @@ from robotd_devices.lidar.rplidar import Rplidar, RplidarConfig
 from robotd_devices.lidar.rplidar_fake import RplidarFake
 from robotd_devices.ports.memory_host import MemoryHost, now_ns
 
-MODELS = pytest.mark.parametrize("model", ["a1", "c1", "s2"])
-"""Triangulating with capsules, nodes without any checksum, the fastest."""
+MODELS = pytest.mark.parametrize("model", ["a1", "c1", "s2", "s2-hq"])
+"""Triangulating with capsules, nodes without any checksum, the fastest, packets of whole nodes."""
 TURN_S = 0.1
 
 
@@ -172,7 +172,9 @@ def test_nothing_is_lost_where_every_byte_is_a_read_of_its_own(
 def test_a_lost_or_added_byte_costs_two_packets_at_most_and_no_wrong_distance(
     monkeypatch: pytest.MonkeyPatch, model: str, fault: str
 ) -> None:
-    check_damage(Bench(monkeypatch, model), fault, *{"a1": (96, 2), "s2": (40, 2), "c1": (1, 8)}[model])
+    check_damage(
+        Bench(monkeypatch, model), fault, *{"a1": (96, 2), "s2": (40, 2), "s2-hq": (96, 2), "c1": (1, 8)}[model]
+    )
 
 
 @MODELS
@@ -181,7 +183,9 @@ def test_a_changed_byte_costs_its_packet_and_the_scan_goes_on(
     monkeypatch: pytest.MonkeyPatch, model: str, fault: str
 ) -> None:
     # of an ultra capsule the last two samples are coded against the one behind, and lost with it
-    check_damage(Bench(monkeypatch, model), fault, *{"a1": (98, 1), "s2": (40, 1), "c1": (1, 3)}[model])
+    check_damage(
+        Bench(monkeypatch, model), fault, *{"a1": (98, 1), "s2": (40, 1), "s2-hq": (96, 1), "c1": (1, 3)}[model]
+    )
 
 
 def check_damage(bench: Bench, fault: str, packet: int, most_lost: int) -> None:

@@ -63,7 +63,7 @@ def our_beams(sent: bytes, model: str) -> tuple[NDArray[np.float64], NDArray[np.
     return degrees[order], metres[order]
 
 
-@pytest.mark.parametrize("model", ["a1", "a1-old", "s2", "s3", "c1"])
+@pytest.mark.parametrize("model", ["a1", "a1-old", "s2", "s2-hq", "s3", "c1"])
 def test_vendor_sdk_and_our_reader_agree(tmp_path: Path, run_client: Any, model: str) -> None:
     """pyrplidarsdk is the vendor's SDK: nodes, express, ultra, dense, ultra-dense within one least significant bit."""
     fake = Recorded(RplidarFake(model, ROOM))

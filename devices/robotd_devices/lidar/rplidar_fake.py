@@ -12,6 +12,7 @@ from typing import ClassVar
 import numpy as np
 
 from robotd.world.messages import Float64s
+from robotd_devices.lidar import rplidar_hq as hq
 from robotd_devices.lidar import rplidar_samples as samples
 from robotd_devices.lidar import rplidar_wire as wire
 from robotd_devices.lidar.answers import encode_descriptor
@@ -67,6 +68,7 @@ MODELS = {
         (*_S, 62.5), ("DenseBoost", 0x85, 31.25), ("UltraDense", 0x86, 31.25),
     ),
     "c1": _model(0x41, 0x0101, 460_800, "none", False, 0, (*_S, 200.0)),
+    "s2-hq": _model(0x71, 0x0102, 1_000_000, "rpm", False, 1, (*_S, 125.0), ("HQ", hq.HQ, 125.0)),
     "a1-old": _model(0x18, 0x0114, 115_200, "dtr", True, 0, (*_S, 508.0), (*_E, 254.0)),
 }  # fmt: skip
 
@@ -274,7 +276,7 @@ class RplidarFake(Breakable):
         if self.health.status == 2 or number >= len(self.model.modes):
             return
         self.scanning = mode = self.model.modes[number]
-        size = FORMATS[mode.answer].size if mode.answer in FORMATS else NODE_BYTES
+        size = {hq.HQ: hq.PACKET_BYTES, STANDARD: NODE_BYTES}.get(mode.answer) or FORMATS[mode.answer].size
         self._out += encode_descriptor(size, mode.answer, stream=True)
         self._restart(now_ns)
 
@@ -305,7 +307,10 @@ class RplidarFake(Breakable):
         if mode is not None and self._motor_ns is not None:
             due = math.floor((now_ns - self.scan_ns) / self.sample_ns - _DELAY_SAMPLES) + 1
             form = FORMATS.get(mode.answer)
-            if form is None:
+            if mode.answer == hq.HQ:
+                while self._sampled + hq.NODES <= due:
+                    self._out += self._hq_packet()
+            elif form is None:
                 if due > self._sampled:
                     self._out += self._nodes(due - self._sampled)
             else:
@@ -347,6 +352,21 @@ class RplidarFake(Breakable):
         nodes["angle"] = angle << 1 | 1
         nodes["distance"] = q2
         return nodes.tobytes()
+
+    def _hq_packet(self) -> bytes:
+        first = self._sampled
+        self._sampled += hq.NODES
+        head = np.array([self.head_deg(first + i) for i in range(hq.NODES)])
+        steps = np.rint(head * (16_384.0 / 90.0)).astype(np.int64)
+        nodes = np.zeros(hq.NODES, dtype=[("angle", "<u2"), ("distance", "<u4"), ("quality", "u1"), ("flag", "u1")])
+        nodes["angle"] = steps & 0xFFFF
+        nodes["distance"] = np.rint(self._distance_m((steps & 0xFFFF) * (90.0 / 16_384.0)) * 4000.0)
+        nodes["quality"] = np.where(nodes["distance"] > 0, _QUALITY_ULTRA, 0)
+        turns = steps >> 16
+        before = self._angle_before if self._angle_before >= 0 else turns[0]
+        nodes["flag"] = np.where((np.diff(turns, prepend=before) > 0) & (not self.flagless), 1, 2)
+        self._angle_before = int(turns.max())
+        return hq.seal(self._sampled * 31, nodes.tobytes())
 
     def next_capsule(self, form: CapsuleFormat) -> bytes:
         """The next capsule, whatever the time."""

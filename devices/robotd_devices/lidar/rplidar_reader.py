@@ -8,15 +8,16 @@ from collections.abc import Iterator
 from robotd.world.messages import LidarScan
 from robotd_devices.lidar.beam_sweep import BeamSweep
 from robotd_devices.lidar.rplidar_capsules import FORMATS, CapsuleParser
+from robotd_devices.lidar.rplidar_hq import HQ, HqParser
 from robotd_devices.lidar.rplidar_nodes import NodeParser
-from robotd_devices.lidar.rplidar_sweep import CapsuleSweep, NodeSweep
+from robotd_devices.lidar.rplidar_sweep import HQ_NODES, CapsuleSweep, NodeSweep
 
 
 class RplidarReader:
     """Reads one scan from its start on.
 
-    answer: type of the stream, as its descriptor says: 0x81 (nodes) or one of `FORMATS`. sweep: where beams go.
-    byte_ns: time of a byte on the wire. rotation_hz: revolutions a second that are expected.
+    answer: type of the stream, as its descriptor says: 0x81 (nodes), 0x83 (HQ) or one of `FORMATS`. sweep: where beams
+    go. byte_ns: time of a byte on the wire. rotation_hz: revolutions a second that are expected.
     """
 
     def __init__(self, answer: int, sweep: BeamSweep, byte_ns: float, rotation_hz: float) -> None:
@@ -25,8 +26,11 @@ class RplidarReader:
         form = FORMATS.get(answer)
         step_deg = 360e-9 * rotation_hz * sweep.beam_ns
         self._turn_nodes = math.ceil(2.0 * 360.0 / step_deg)
-        self._parser: CapsuleParser | NodeParser
-        if form is None:
+        self._parser: CapsuleParser | NodeParser | HqParser
+        if answer == HQ:
+            self._parser = HqParser(byte_ns, sweep.beam_ns)
+            self._nodes = NodeSweep(sweep, byte_ns, step_deg, HQ_NODES)
+        elif form is None:
             self._parser = NodeParser(byte_ns, sweep.beam_ns, step_deg)
             self._nodes = NodeSweep(sweep, byte_ns, step_deg)
         else:
@@ -46,12 +50,12 @@ class RplidarReader:
 
     def _scans(self, data: bytes, now_ns: int) -> Iterator[LidarScan]:
         parser = self._parser
-        if isinstance(parser, NodeParser):
-            for run in parser.feed(data, now_ns):
-                yield from self._nodes.add(run)
-        else:
+        if isinstance(parser, CapsuleParser):
             for capsule in parser.feed(data, now_ns):
                 yield from self._capsules.add(capsule)
+        else:
+            for run in parser.feed(data, now_ns):
+                yield from self._nodes.add(run)
 
     def take_faults(self) -> list[str]:
         """Names of what went wrong since the last call."""

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Callable
+from dataclasses import dataclass
 
-from robotd.world.messages import LidarScan
+import numpy as np
+from numpy.typing import NDArray
+
+from robotd.world.messages import Float32s, Float64s, LidarScan
+from robotd_devices.lidar import rplidar_hq as hq
 from robotd_devices.lidar.beam_sweep import LONGEST_GAP_DEG, Beams, BeamSweep
 from robotd_devices.lidar.rplidar_capsules import TURN_Q6, ULTRA, Capsule, CapsuleFormat
 from robotd_devices.lidar.rplidar_nodes import NODE_BYTES, NodeRun
@@ -14,12 +19,13 @@ _TURN_Q16 = float(1 << 16)
 #: Slamtec's own estimate: a sample was taken one and a half sample times before it leaves the device.
 _DELAY_SAMPLES = 1.5
 
-#: Nodes are looked at for the seam in pieces of at most this, so that no turn is missed in a backlog.
-_PIECE_BYTES = 32 * NODE_BYTES
+#: Nodes are looked at for the seam in pieces of at most this many, so that no turn is missed in a backlog.
+_PIECE_NODES = 32
 #: Fewer nodes do not tell how far apart nodes lie.
 _ENOUGH_NODES = 20
 
 _NODE = np.dtype([("head", "u1"), ("angle", "<u2"), ("distance", "<u2")])
+_HQ_NODE = np.dtype([("angle", "<u2"), ("distance", "<u4"), ("quality", "u1"), ("flag", "u1")])
 
 
 class CapsuleSweep:
@@ -103,12 +109,48 @@ class CapsuleSweep:
         return self._sweep.add(beams, marks, then_q6 / 64.0)
 
 
-class NodeSweep:
-    """Keeps the nodes of a standard scan until their angle passes the seam, then decodes them all in one call."""
+@dataclass(frozen=True, slots=True)
+class NodeForm:
+    """Nodes of one kind. size: bytes of one; angle_at: where its angle stands, u16, `per_degree` steps a degree.
 
-    def __init__(self, sweep: BeamSweep, byte_ns: float, step_deg: float) -> None:
+    packet_bytes: what is sent in one piece. decode: bytes of nodes to degrees, metres and qualities, (n,) each.
+    """
+
+    size: int
+    angle_at: int
+    per_degree: float
+    packet_bytes: int
+    decode: Callable[[bytes], tuple[Float64s, Float32s, NDArray[np.uint8]]]
+
+    def angle_deg(self, data: bytes, node: int) -> float:
+        """The angle of one node; -1 for the last."""
+        at = node * self.size + self.angle_at if node >= 0 else len(data) - self.size + self.angle_at
+        return int.from_bytes(data[at : at + 2], "little") / self.per_degree
+
+
+def _standard(data: bytes) -> tuple[Float64s, Float32s, NDArray[np.uint8]]:
+    nodes = np.frombuffer(data, dtype=_NODE)
+    metres = (nodes["distance"] * 0.00025).astype(np.float32)
+    return (nodes["angle"] >> 1) / 64.0, metres, (nodes["head"] >> 2).astype(np.uint8)
+
+
+def _hq(data: bytes) -> tuple[Float64s, Float32s, NDArray[np.uint8]]:
+    nodes = np.frombuffer(data, dtype=_HQ_NODE)
+    metres = (nodes["distance"] * 0.00025).astype(np.float32)
+    return nodes["angle"] * (90.0 / 16_384.0), metres, nodes["quality"].copy()
+
+
+STANDARD_NODES = NodeForm(NODE_BYTES, 1, 128.0, NODE_BYTES, _standard)
+HQ_NODES = NodeForm(hq.NODE_BYTES, 0, 16_384.0 / 90.0, hq.PACKET_BYTES, _hq)
+
+
+class NodeSweep:
+    """Keeps the nodes of a standard or HQ scan until their angle passes the seam, then decodes them in one call."""
+
+    def __init__(self, sweep: BeamSweep, byte_ns: float, step_deg: float, form: NodeForm = STANDARD_NODES) -> None:
+        self._form = form
         self._sweep = sweep
-        self._delay_ns = round(NODE_BYTES * byte_ns + _DELAY_SAMPLES * sweep.beam_ns)
+        self._delay_ns = round(form.packet_bytes * byte_ns + _DELAY_SAMPLES * sweep.beam_ns)
         self._step_deg = step_deg
         self._data: list[bytes] = []
         self._marks: list[tuple[int, int]] = []
@@ -126,20 +168,21 @@ class NodeSweep:
             done.append(self._decode())
             self._lost(run, done)
         if self._head_deg is None:
-            self._head_deg = self._last_deg = _first_deg(run.data)
-        behind = len(run.data) // NODE_BYTES
-        for at in range(0, len(run.data), _PIECE_BYTES):
-            piece = run.data[at : at + _PIECE_BYTES]
-            behind -= len(piece) // NODE_BYTES
+            self._head_deg = self._last_deg = self._form.angle_deg(run.data, 0)
+        size = self._form.size
+        behind = len(run.data) // size
+        for at in range(0, len(run.data), _PIECE_NODES * size):
+            piece = run.data[at : at + _PIECE_NODES * size]
+            behind -= len(piece) // size
             self._keep(piece, run.arrival_ns - round(behind * self._sweep.beam_ns), done)
         return [scan for scan in done if scan is not None]
 
     def _keep(self, piece: bytes, arrival_ns: int, done: list[LidarScan | None]) -> None:
         self._data.append(piece)
-        self._count += len(piece) // NODE_BYTES
+        self._count += len(piece) // self._form.size
         self._marks.append((self._count - 1, arrival_ns - self._delay_ns))
         self._last_ns = arrival_ns
-        before, angle_deg = self._last_deg, int.from_bytes(piece[-4:-2], "little") / 128.0
+        before, angle_deg = self._last_deg, self._form.angle_deg(piece, -1)
         if _between(angle_deg, before) > 0.0:
             self._last_deg = angle_deg
             after = self._sweep.after_seam
@@ -149,8 +192,8 @@ class NodeSweep:
     def _lost(self, run: NodeRun, done: list[LidarScan | None]) -> None:
         if self._head_deg is None:
             return
-        sweep, first_deg = self._sweep, _first_deg(run.data)
-        first_ns = run.arrival_ns - (len(run.data) // NODE_BYTES) * sweep.beam_ns
+        sweep, first_deg = self._sweep, self._form.angle_deg(run.data, 0)
+        first_ns = run.arrival_ns - (len(run.data) // self._form.size) * sweep.beam_ns
         if first_ns - self._last_ns > LONGEST_GAP_DEG / self._step_deg * sweep.beam_ns:
             sweep.reset()
             self._head_deg = None
@@ -162,24 +205,18 @@ class NodeSweep:
     def _decode(self) -> LidarScan | None:
         if not self._data or self._head_deg is None:
             return None
-        nodes = np.frombuffer(b"".join(self._data), dtype=_NODE)
+        angle_deg, metres, quality = self._form.decode(b"".join(self._data))
         marks, self._marks = self._marks, []
         self._data, self._count = [], 0
-        angle_deg = (nodes["angle"] >> 1) / 64.0
         # the head only goes forward, though beams to near and to far points lag behind it by different angles
         steps = (np.diff(angle_deg, prepend=self._head_deg) + 180.0) % 360.0 - 180.0
         turned = np.maximum.accumulate(np.maximum(np.cumsum(steps), 0.0))
-        if len(nodes) > _ENOUGH_NODES:
-            self._step_deg += 0.1 * (float(turned[-1] - turned[0]) / (len(nodes) - 1) - self._step_deg)
+        if len(metres) > _ENOUGH_NODES:
+            self._step_deg += 0.1 * (float(turned[-1] - turned[0]) / (len(metres) - 1) - self._step_deg)
         head_deg = (self._head_deg + turned) % 360.0
         self._head_deg = self._last_deg = float(head_deg[-1])
-        metres = (nodes["distance"] * 0.00025).astype(np.float32)
-        beams = Beams(head_deg, angle_deg, metres, (nodes["head"] >> 2).astype(np.uint8))
+        beams = Beams(head_deg, angle_deg, metres, quality)
         return self._sweep.add(beams, marks, (self._head_deg + self._step_deg) % 360.0)
-
-
-def _first_deg(data: bytes) -> float:
-    return int.from_bytes(data[1:3], "little") / 128.0
 
 
 def _between(angle_deg: float, before_deg: float) -> float:

@@ -13,6 +13,7 @@ from robotd.authoring.device import DeviceMisconfigured, DeviceUnavailable
 from robotd_devices.lidar import rplidar_wire as wire
 from robotd_devices.lidar.dialogue import Ask, Dtr, Pause, Quiet, Say, Start, Talk, Warn
 from robotd_devices.lidar.rplidar_capsules import FORMATS
+from robotd_devices.lidar.rplidar_hq import HQ
 from robotd_devices.lidar.rplidar_models import (
     EXPRESS_FIRMWARE,
     EXPRESS_SAMPLE_US,
@@ -27,6 +28,8 @@ from robotd_devices.lidar.rplidar_models import (
 )
 
 STANDARD_ANSWER = 0x81
+CHECKED_ANSWERS = (*FORMATS, HQ)
+"""Types of data that carry a checksum."""
 
 _BOARD_S = 0.5
 _BOOT_S, _BOOT_QUIET_S = 2.0, 0.3
@@ -115,13 +118,13 @@ def choose_mode(info: wire.Info, wish: str) -> Talk[ScanMode]:
     modes: list[ScanMode] = []
     if wish == "auto":
         mode = yield from _mode(typical)
-        if mode is not None and mode.answer in FORMATS:
+        if mode is not None and mode.answer in CHECKED_ANSWERS:
             return mode
     for number in range(count):
         mode = yield from _mode(number)
         if mode is not None:
             modes.append(mode)
-    known = [mode for mode in modes if mode.answer in FORMATS]
+    known = [mode for mode in modes if mode.answer in CHECKED_ANSWERS]
     standard = [mode for mode in modes if mode.answer == STANDARD_ANSWER]
     if wish == "auto":
         found = known[-1:] or standard[:1]

@@ -21,6 +21,8 @@ from robotd_devices.lidar.rplidar_wire import SCAN, express_scan, motor_pwm, mot
 from robotd_devices.ports.fakes import DAMAGES, damage
 
 CASES = [(name, mode.number or 0) for name, model in MODELS.items() for mode in model.modes]
+PACKETS = {form.kind: (form.size, form.samples) for form in FORMATS.values()} | {0x81: (5, 1), 0x83: (781, 96)}
+"""Type of data to bytes and samples of a packet."""
 IDS = [f"{name} {MODELS[name].modes[mode].name}" for name, mode in CASES]
 
 
@@ -64,7 +66,7 @@ def test_a_room_in_every_model_and_mode(model: str, mode: int) -> None:
         assert np.quantile(off, 0.995) <= {0x84: 0.008, 0x86: 0.003}.get(answer, 0.0006)
         left = int(np.argmin(np.abs(scan.angles_rad - math.pi / 2)))
         assert scan.ranges_m[left] == pytest.approx(1.5, abs=0.004)
-        assert (scan.intensities is not None) == (answer in (0x81, 0x86))
+        assert (scan.intensities is not None) == (answer in (0x81, 0x83, 0x86))
 
 
 @pytest.mark.parametrize("seam_deg", [0.0, 90.0, 180.0, 359.9])
@@ -82,7 +84,7 @@ def test_other_seams_and_upside_down(model: str, mode: int, seam_deg: float) -> 
         assert np.ptp(np.unwrap(scan.angles_rad.astype(np.float64))) >= math.radians(350.0)
 
 
-@pytest.mark.parametrize(("model", "mode"), [("a1", 1), ("a1", 2), ("s2", 1), ("c1", 0)])
+@pytest.mark.parametrize(("model", "mode"), [("a1", 1), ("a1", 2), ("s2", 1), ("s2-hq", 1), ("c1", 0)])
 @pytest.mark.parametrize("chunk", [1, 62, 4095])
 def test_stamps_are_when_it_was_measured(model: str, mode: int, chunk: int) -> None:
     """Bytes that come as they leave the wire, in chunks of a USB bridge: each beam is dated within a millisecond."""
@@ -90,8 +92,7 @@ def test_stamps_are_when_it_was_measured(model: str, mode: int, chunk: int) -> N
     answer, data = recorded(fake, mode, 0.45)
     source, sent = reader(fake, answer, seam_deg=0.0), len(data)
     byte_ns = 1e10 / fake.model.baud
-    form = FORMATS.get(answer)
-    size, per = (form.size, form.samples) if form else (5, 1)
+    size, per = PACKETS[answer]
     scans = []
     for at in range(0, sent, chunk):
         end = min(at + chunk, sent)
@@ -135,7 +136,7 @@ def test_lost_capsules_are_beams_not_measured(model: str, mode: int, lost: int, 
     assert count * lost - 1 <= missing <= (count + 1) * lost + 1
 
 
-@pytest.mark.parametrize(("model", "mode"), [("a1", 1), ("a1", 2), ("s2", 1), ("s3", 2)])
+@pytest.mark.parametrize(("model", "mode"), [("a1", 1), ("a1", 2), ("s2", 1), ("s2-hq", 1), ("s3", 2)])
 @pytest.mark.parametrize("seed", range(3))
 def test_a_bad_line_never_shows_a_wrong_wall(model: str, mode: int, seed: int) -> None:
     """A fault a turn, of every kind, whole capsules twice among them: what is there is right, the rest not measured."""
@@ -143,7 +144,7 @@ def test_a_bad_line_never_shows_a_wrong_wall(model: str, mode: int, seed: int) -
     fake = RplidarFake(model, room, first_deg=190.0)
     answer, data = recorded(fake, mode, 3.0)
     rng = random.Random(f"{model} {mode} {seed}")
-    size, turn = FORMATS[answer].size, round(len(data) / 30)
+    (size, samples), turn = PACKETS[answer], round(len(data) / 30)
     source, scans = reader(fake, answer), []
     for index, at in enumerate(range(0, len(data) - turn, turn)):
         group = data[at : at + turn]
@@ -159,8 +160,8 @@ def test_a_bad_line_never_shows_a_wrong_wall(model: str, mode: int, seed: int) -
         assert len(scan.ranges_m) == pytest.approx(per_turn, abs=0.01 * per_turn + 3)
         assert np.quantile(error_m(scan, room), 0.99) <= (0.012 if answer == 0x84 else 0.003)
         assert error_m(scan, room).max() <= (0.2 if answer == 0x84 else 0.003)  # the fake's ultra corners are rough
-        assert np.isfinite(scan.ranges_m).mean() >= 1.0 - 4.5 * FORMATS[answer].samples / per_turn
-    assert sum(int(np.isnan(scan.ranges_m).sum()) for scan in scans) <= 60 * FORMATS[answer].samples
+        assert np.isfinite(scan.ranges_m).mean() >= 1.0 - 4.5 * samples / per_turn
+    assert sum(int(np.isnan(scan.ranges_m).sum()) for scan in scans) <= 60 * samples
 
 
 def test_lost_nodes_are_beams_not_measured() -> None:
