@@ -57,7 +57,7 @@ class ReportingBase(FakeBase):
 
 def listen(runtime: Runtime) -> None:
     """Somebody looks at explanations for a while."""
-    runtime.core.explain_until_ns = 2 * S
+    runtime.core.stepping.explain_until_ns = 2 * S
 
 
 def without_camera(parts: Parts) -> Parts:

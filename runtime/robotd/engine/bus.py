@@ -8,7 +8,7 @@ provenance      `oldest_ns` beside each message: the minimum over the inputs it 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from robotd.authoring.view import View, Wake
 from robotd.world.messages import Message
@@ -61,13 +61,19 @@ class Slot:
 class Lookout:
     """Gathers one plugin's view from the slots, and keeps what the author must not have to: age and provenance."""
 
-    __slots__ = ("_fields", "fresh_until_ns", "missing", "oldest_ns", "view_type")
+    __slots__ = ("_fields", "expiring", "fresh_until_ns", "missing", "oldest_ns", "view_type")
 
     def __init__(self, view_type: type[View], slots: dict[str, Slot]) -> None:
         self.view_type = view_type
         self._fields = tuple(
             (spec.name, slots[spec.topic.name], spec.wake is Wake.LATEST, spec.within_ns) for spec in view_type.specs
         )
+        self.expiring = tuple(
+            (i, slot, within_ns)
+            for i, (_, slot, is_optional, within_ns) in enumerate(self._fields)
+            if is_optional and within_ns is not None
+        )
+        """Index, slot and age limit in ns of each input that becomes None when it is too old."""
         self.oldest_ns = 0
         self.fresh_until_ns = 0
         self.missing: tuple[str, str] | None = None
@@ -78,7 +84,7 @@ class Lookout:
         `oldest_ns` becomes the oldest stamp among the messages seen, `fresh_until_ns` the instant at which the first
         input that the step cannot do without becomes too old. State topics have no age and count in neither.
         """
-        values: dict[str, Message | None] = {}
+        values: dict[str, Any] = {}
         oldest = now_ns
         fresh_until = NEVER_NS
         for name, slot, optional, within_ns in self._fields:

@@ -30,6 +30,7 @@ class Journal(Protocol):
 class Timers(Protocol):
     """What calls the core back later; in replay nothing does, the recording says when."""
 
+    def now_ns(self) -> int: ...
     def call_at_ns(self, when_ns: int, callback: Callable[..., object], *args: object) -> object: ...
 
 

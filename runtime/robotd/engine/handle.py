@@ -196,7 +196,7 @@ class RuntimeHandle:
             self._core.on_event.remove(keep)
 
     def explanations(self) -> Mapping[str, Explanation]:
-        self._core.explain_until_ns = self.clock.now_ns() + LISTENING_NS
+        self._core.stepping.explain_until_ns = self.clock.now_ns() + LISTENING_NS
         return {node.name: node.explanation for node in self._core.graph.nodes if node.explanation}
 
 

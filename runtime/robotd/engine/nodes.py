@@ -47,7 +47,7 @@ class BehaviourNode:
     """One behaviour. `instance` lives as long as one goal; `proposal` stands until replaced or withdrawn."""
 
     __slots__ = (
-        "behaviour", "benched", "blind_since_ns", "explained_ns", "explanation", "index", "instance", "lookout", "name",
+        "benched", "blind_since_ns", "emits", "explained_ns", "explanation", "index", "instance", "lookout", "name",
         "outcome", "part", "priority", "proposal", "robot", "started_ns", "woken",
     )  # fmt: skip
 
@@ -56,6 +56,7 @@ class BehaviourNode:
         self.name = part.name
         self.part = part
         self.priority = part.priority
+        self.emits: type[Any] = part.cls.emits
         self.lookout = Lookout(part.cls.sees, slots)
         self.robot = robot
         self.instance: Behaviour[Any, Any, Any] | None = None

@@ -254,6 +254,9 @@ class Player:
     def estop(self) -> None:
         pass
 
+    def now_ns(self) -> int:
+        raise RuntimeError("nobody asks a replay for the time: it comes with each input")
+
     def call_at_ns(self, when_ns: int, callback: Callable[..., object], *args: object) -> object:
         return None
 

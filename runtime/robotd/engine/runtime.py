@@ -171,7 +171,6 @@ class Runtime:
         self.core = Core(
             parts, graph, sink, timers=loop, offloader=offloader, journal=self.journal, now_ns=loop.now_ns()
         )
-        self.core.clock_ns = loop.now_ns
         self.core.on_armed.append(_freeze_heap)
         if self.mark is not None:
             self.core.on_armed.append(partial(self.mark.set, True))

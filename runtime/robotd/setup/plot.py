@@ -100,7 +100,7 @@ def gather(recording: Recording, parts: Parts) -> Run:
         core = player.core
         assert core is not None
         if fresh:
-            core.explain_until_ns = _LISTEN_NS
+            core.stepping.explain_until_ns = _LISTEN_NS
             core.on_event.append(reader.event)
             reader.start_ns = turn.entry.now_ns
         reader.look(core, turn.entry.now_ns, [player.value(entry) for entry in turn.commands])
