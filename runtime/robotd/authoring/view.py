@@ -14,7 +14,6 @@ import inspect
 import sys
 import types
 import typing
-from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any, ClassVar, Self, overload
@@ -132,11 +131,11 @@ class View(_Fields):
         return f"{type(self).__name__}({inside})"
 
     @classmethod
-    def assemble(cls, now_ns: int, values: Mapping[str, Message | None]) -> Self:
-        """The engine's way in: no checks, the values were checked while they were gathered."""
+    def assemble(cls, now_ns: int, values: dict[str, Any]) -> Self:
+        """The engine's way in: the fields by name, checked while they were gathered; the view takes the dict over."""
+        values["now_ns"] = now_ns
         view = object.__new__(cls)
-        view.__dict__["now_ns"] = now_ns
-        view.__dict__.update(values)
+        object.__setattr__(view, "__dict__", values)
         return view
 
 

@@ -7,8 +7,8 @@ Ties cannot happen: equal priorities are refused when the config is loaded.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import Enum
+from typing import NamedTuple
 
 from robotd.world.messages import Command, Mode
 
@@ -21,8 +21,7 @@ class Loss(Enum):
     NOT_ALLOWED = "the mode lets no behaviour drive"
 
 
-@dataclass(frozen=True, slots=True)
-class Proposal:
+class Proposal(NamedTuple):
     """What somebody wants. `fresh_until_ns` and `oldest_ns` come from the inputs, never from the author."""
 
     by: str
@@ -32,8 +31,7 @@ class Proposal:
     fresh_until_ns: int
 
 
-@dataclass(frozen=True, slots=True)
-class Loser:
+class Loser(NamedTuple):
     """A proposal that lost, and to whom or to what."""
 
     by: str
@@ -41,8 +39,7 @@ class Loser:
     detail: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Verdict:
+class Verdict(NamedTuple):
     """What was decided. `winner` None means stop, and `reason` says why in words for people."""
 
     winner: Proposal | None
@@ -50,6 +47,7 @@ class Verdict:
     reason: str = ""
 
 
+_AUTO = Mode.AUTO
 _NOBODY = "no behaviour has an opinion"
 
 
@@ -59,7 +57,7 @@ def arbitrate(proposals: Sequence[Proposal], manual: Proposal | None, mode: Mode
     proposals: at most one of each behaviour. manual: the operator's own, under its lease. why: the reason for `mode`,
     repeated to people while nothing may drive.
     """
-    if mode is Mode.AUTO:
+    if mode is _AUTO:
         return _by_priority(proposals, now_ns)
     losers = tuple(Loser(p.by, Loss.NOT_ALLOWED, mode.value) for p in proposals)
     if mode is not Mode.MANUAL:

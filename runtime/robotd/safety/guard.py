@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from robotd.safety.settings import GuardConfig
 from robotd.world.geometry import convex_hull, half_planes
 from robotd.world.kinematics import Ackermann, saturate, steer_to_drive
-from robotd.world.messages import Command, Drive, Float32s, Float64s, LidarScan, Steer
+from robotd.world.messages import STOP, Command, Drive, Float32s, Float64s, LidarScan, Steer
 from robotd.world.robot import Robot
 
 POSES = 16
@@ -36,8 +36,7 @@ LONGEST_DT_S = 0.1
 Points: TypeAlias = Float64s
 
 
-@dataclass(frozen=True, slots=True)
-class Guarded:
+class Guarded(NamedTuple):
     """What may be written. `limited_by` names each limit that acted; `reason` says why where the robot must stand."""
 
     command: Command
@@ -45,8 +44,7 @@ class Guarded:
     reason: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Sensed:
+class Sensed(NamedTuple):
     """What one scan says near the robot: points in base (2, n) within reach, and which bearings were seen."""
 
     topic: str
@@ -86,6 +84,7 @@ class Guard:
             self.sources = tuple(dict.fromkeys(stop.sources + (slow.sources if slow else ())))
         self._stop_m = stop.margin_m if stop else 0.0
         self._slow_m = slow.margin_m if slow else 0.0
+        self._zones_are_off = config.zones.off is not None
         self._widest_m = max(self._stop_m, self._slow_m)
         self._reach_m = self._braking_m(self._top_mps) + self._widest_m + 0.05
         self._coverage: dict[str, _Coverage] = {}
@@ -148,28 +147,20 @@ class Guard:
         if drive is None:
             return Guarded(_stop_like(previous), ("not finite",), f"{by} proposed a command that is not finite")
         limited: tuple[str, ...] = ()
-        steering = command.steering_rad if isinstance(command, Steer) else None
-        if steering is not None and isinstance(self.robot.kinematics, Ackermann):
-            most = self.robot.kinematics.max_steering_rad
-            if abs(steering) > most:
-                steering = math.copysign(most, steering)
+        steering: float | None = None
+        if isinstance(command, Steer):
+            drive, steering = self._steered(drive, command.steering_rad)
+            if steering != command.steering_rad:
                 limited += ("steering",)
-            drive = steer_to_drive(Steer(drive.vx_mps, steering), self.robot.kinematics.wheelbase_m)
-        limits = self.robot.limits
-        ranged = (
-            saturate(drive, limits.vx_mps, limits.vy_mps, limits.wz_radps)
-            if steering is None
-            else saturate(drive, limits.vx_mps, math.inf, math.inf)
-        )
+        ranged = self._in_range(drive, steering)
         if ranged is not drive:
             limited += ("range",)
-        ramped = self._ramp(ranged, self._as_drive(previous) or Drive(), dt_s)
+        ramped = self._ramp(ranged, self._as_drive(previous) or STOP, dt_s)
         if ramped is not ranged:
             limited += ("acceleration",)
-        if max(abs(ramped.vx_mps), abs(ramped.vy_mps), abs(ramped.wz_radps)) < STILL:
-            return Guarded(_in_kind(Drive(), steering), limited)
-        if self.config.zones.off is not None:
-            return Guarded(_in_kind(ramped, steering), limited)
+        still = abs(ramped.vx_mps) < STILL and abs(ramped.vy_mps) < STILL and abs(ramped.wz_radps) < STILL
+        if still or self._zones_are_off:
+            return Guarded(_in_kind(STOP if still else ramped, steering), limited)
         if stale:
             return Guarded(_stop_like(command), (*limited, "stale"), f"the stop zone has no fresh {stale}")
         factor, name, reason = self._zones(ramped, by, sensed)
@@ -177,6 +168,23 @@ class Guard:
             ramped = Drive(ramped.vx_mps * factor, ramped.wz_radps * factor, ramped.vy_mps * factor)
             limited += (name,)
         return Guarded(_in_kind(ramped, steering), limited, reason if factor == 0.0 else "")
+
+    def _steered(self, drive: Drive, steering_rad: float) -> tuple[Drive, float]:
+        """Body velocity and angle of front wheels that turn no further than they can."""
+        kinematics = self.robot.kinematics
+        if not isinstance(kinematics, Ackermann):
+            return drive, steering_rad
+        most = kinematics.max_steering_rad
+        if abs(steering_rad) > most:
+            steering_rad = math.copysign(most, steering_rad)
+        return steer_to_drive(Steer(drive.vx_mps, steering_rad), kinematics.wheelbase_m), steering_rad
+
+    def _in_range(self, drive: Drive, steering_rad: float | None) -> Drive:
+        """`drive` itself, or slower in the same direction; a car's turning is limited by its wheels."""
+        limits = self.robot.limits
+        if steering_rad is None:
+            return saturate(drive, limits.vx_mps, limits.vy_mps, limits.wz_radps)
+        return saturate(drive, limits.vx_mps, math.inf, math.inf)
 
     def _as_drive(self, command: Command) -> Drive | None:
         """The command as a body velocity, or None where a number in it is not finite."""
@@ -191,7 +199,7 @@ class Guard:
 
     def _ramp(self, wanted: Drive, previous: Drive, dt_s: float) -> Drive:
         """`wanted`, approached no faster than the accelerations allow; a plain stop is never delayed."""
-        if wanted == Drive():
+        if wanted == STOP:
             return wanted
         dx, dy = wanted.vx_mps - previous.vx_mps, wanted.vy_mps - previous.vy_mps
         dw = wanted.wz_radps - previous.wz_radps

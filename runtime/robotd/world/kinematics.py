@@ -87,6 +87,8 @@ def steer_to_drive(steer: Steer, wheelbase_m: float) -> Drive:
 
 def saturate(drive: Drive, vx_mps: float, vy_mps: float, wz_radps: float) -> Drive:
     """The largest velocity of the same direction and curvature within the limits (all three divided by one factor)."""
+    if abs(drive.vx_mps) <= vx_mps and abs(drive.vy_mps) <= vy_mps and abs(drive.wz_radps) <= wz_radps:
+        return drive
     factor = max(
         1.0,
         abs(drive.vx_mps) / vx_mps if vx_mps > 0.0 else (math.inf if drive.vx_mps else 1.0),
