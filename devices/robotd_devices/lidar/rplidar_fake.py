@@ -79,8 +79,9 @@ class RplidarFake(Breakable):
     The world is `range_of` (see `Ld19Fake`); distances beyond `range_max_m` are sent as 0. Its head stands at
     `first_deg` when its power comes. It sends samples while its motor runs: by DTR (runs unless `set_dtr(True)`), by
     PWM, by speed, or always. Set at any time: `health` (a reset clears it unless `stubborn`), `mute` (sends nothing at
-    all), `stalled` (the head stands still, samples go on), `uneven` (its speed swings), `flagless` (no mark of a new
-    turn), `blank` (a quarter of the view returns nothing), `blind` (nothing does); `brown_out` restarts it.
+    all), `stalled` (the head stands still, samples go on), `refuses` (its motor turns but it does not scan), `uneven`
+    (its speed swings), `flagless` (no mark of a new turn), `blank` (a quarter of the view returns nothing), `blind`
+    (nothing does); `brown_out` restarts it.
     """
 
     breaks: ClassVar[Mapping[str, str]] = MappingProxyType(
@@ -113,7 +114,7 @@ class RplidarFake(Breakable):
         self.range_of: RangeOf = range_of if range_of is not None else BoxRoom()
         self.rotation_hz = rotation_hz
         self.health = wire.Health(0, 0)
-        self.stubborn = self.mute = self.stalled = False
+        self.stubborn = self.mute = self.stalled = self.refuses = False
         self.uneven = self.flagless = self.blank = self.blind = False
         self.requests: list[int] = []
         """Commands received since power-on."""
@@ -273,7 +274,7 @@ class RplidarFake(Breakable):
     # --------------------------------------------------------------------------------------- measurements
 
     def _scan(self, number: int, now_ns: int) -> None:
-        if self.health.status == 2 or number >= len(self.model.modes):
+        if self.refuses or self.health.status == 2 or number >= len(self.model.modes):
             return
         self.scanning = mode = self.model.modes[number]
         size = {hq.HQ: hq.PACKET_BYTES, STANDARD: NODE_BYTES}.get(mode.answer) or FORMATS[mode.answer].size
@@ -360,7 +361,8 @@ class RplidarFake(Breakable):
         steps = np.rint(head * (16_384.0 / 90.0)).astype(np.int64)
         nodes = np.zeros(hq.NODES, dtype=[("angle", "<u2"), ("distance", "<u4"), ("quality", "u1"), ("flag", "u1")])
         nodes["angle"] = steps & 0xFFFF
-        nodes["distance"] = np.rint(self._distance_m((steps & 0xFFFF) * (90.0 / 16_384.0)) * 4000.0)
+        beam_deg = ((steps & 0xFFFF) * (90.0 / 16_384.0)).astype(np.float64)
+        nodes["distance"] = np.rint(self._distance_m(beam_deg) * 4000.0)
         nodes["quality"] = np.where(nodes["distance"] > 0, _QUALITY_ULTRA, 0)
         turns = steps >> 16
         before = self._angle_before if self._angle_before >= 0 else turns[0]

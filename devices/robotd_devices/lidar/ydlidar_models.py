@@ -77,10 +77,10 @@ def decode_samples(model: YdModel, data: bytes) -> tuple[Float64s, NDArray[np.ui
         words = np.frombuffer(data, dtype="<u2")
         return (words >> model.shift).astype(np.float64) * model.unit_mm, None
     rows = np.frombuffer(data, dtype=[("intensity", "u1"), ("word", "<u2")])
-    bright = rows["intensity"].astype(np.uint16)
+    bright = rows["intensity"].astype(np.uint8)
     if model.bright_bits == 10:
-        bright = (bright | (rows["word"] & 3) << 8) >> 2
-    return (rows["word"] >> model.shift).astype(np.float64) * model.unit_mm, bright.astype(np.uint8)
+        bright = ((rows["intensity"].astype(np.uint16) | (rows["word"] & 3) << 8) >> 2).astype(np.uint8)
+    return (rows["word"] >> model.shift).astype(np.float64) * model.unit_mm, bright
 
 
 def encode_samples(model: YdModel, mm: Float64s, intensity: int = 800) -> bytes:

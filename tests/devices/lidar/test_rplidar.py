@@ -308,6 +308,37 @@ def test_opening_can_be_cancelled(monkeypatch: pytest.MonkeyPatch, after_s: floa
     story()
 
 
+@pytest.mark.parametrize("model", ["a1", "a2", "s2"])
+@pytest.mark.parametrize("ending", ["no scan", "cancelled", "no answer any more"])
+def test_the_motor_stands_after_an_opening_that_failed_behind_its_start(
+    monkeypatch: pytest.MonkeyPatch, model: str, ending: str
+) -> None:
+    fake = RplidarFake(model)
+    lidar, _, line = device(monkeypatch, fake, baud=fake.model.baud)
+
+    @virtual_time
+    async def story() -> None:
+        if ending == "no scan":
+            fake.refuses = True
+            with pytest.raises(DeviceUnavailable, match="does not begin its scan"):
+                await lidar.open()
+        elif ending == "no answer any more":
+            fake.mute = True
+            with pytest.raises(DeviceUnavailable, match="no RPLIDAR answers"):
+                await lidar.open()
+        else:
+            fake.refuses = True
+            with pytest.raises(TimeoutError):
+                async with asyncio.timeout(1.5):
+                    await lidar.open()
+            assert fake.turning
+        await lidar.close()
+        assert not fake.turning
+        assert line.ports == []
+
+    story()
+
+
 @pytest.mark.parametrize(
     ("config", "words"),
     [
