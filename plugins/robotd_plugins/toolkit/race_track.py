@@ -72,6 +72,7 @@ class RaceTrack(Message):
     repeated.
     s_m, x_m, y_m, yaw_rad, curvature_pm, speed_mps: float64 (k,), the line of the footprint's middle, closed in the
     same way, s_m from 0 to less than `length_m`. Empty where no line was found; `reason` says why.
+    at_ns, at: where base was in `track` at the end of the survey: whoever looks for the car begins there.
     lap_s: time of a flying lap that the line should take; nan without a line. version: counts up from 1.
     """
 
@@ -89,6 +90,8 @@ class RaceTrack(Message):
     lap_s: float = math.nan
     version: int = 1
     reason: str = ""
+    at_ns: int = 0
+    at: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     is_state: ClassVar[bool] = True
 

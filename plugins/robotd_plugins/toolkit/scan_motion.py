@@ -12,7 +12,8 @@ from robotd.world.clock import NS_PER_S
 from robotd.world.kinematics import advance, steer_to_drive
 from robotd.world.messages import Command, Drive, Float64s, LidarScan, Odometry, Steer
 
-_KEPT = 64
+_KEPT = 1024
+"""Enough for ten seconds at 100 Hz."""
 
 
 class ToldMotion:

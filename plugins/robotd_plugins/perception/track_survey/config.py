@@ -20,7 +20,7 @@ class TrackSurveyConfig(Config):
     """or after so much turning."""
     key_points: int = Field(default=240, ge=60, le=1500)
     """So many returns of each key frame go into the survey."""
-    key_points_m: float = Field(default=8.0, gt=1.0, le=60.0)
+    key_points_m: float = Field(default=12.0, gt=1.0, le=60.0)
     """And none farther away than this."""
     lap_min_m: float = Field(default=12.0, gt=3.0, le=1000.0)
     """No lap is shorter."""
