@@ -78,12 +78,12 @@ class ScanFollower:
         x, y = self.points(scan, twist_of(moved, passed_s))
         match = align(x, y, expected, prior, walls, self.sigma_m, self._cut_m)
         self.twist = twist_of(compose(inverse(pose), match.pose), passed_s)
-        if scan.start_ns and scan.start_ns < scan.stamp_ns:
-            # a sweep was put to one instant with the expected motion; once more with the motion that came out
-            if math.hypot(match.moved[0], match.moved[1]) + 3.0 * abs(match.moved[2]) > _REDO_M:
-                x, y = self.points(scan, self.twist)
-                match = align(x, y, expected, prior, walls, self.sigma_m, self._cut_m, 4)
-                self.twist = twist_of(compose(inverse(pose), match.pose), passed_s)
+        is_sweep = 0 < scan.start_ns < scan.stamp_ns
+        if is_sweep and math.hypot(match.moved[0], match.moved[1]) + 3.0 * abs(match.moved[2]) > _REDO_M:
+            # it was put to one instant with the expected motion; once more with the motion that came out
+            x, y = self.points(scan, self.twist)
+            match = align(x, y, expected, prior, walls, self.sigma_m, self._cut_m, 4)
+            self.twist = twist_of(compose(inverse(pose), match.pose), passed_s)
         self.stamp_ns = scan.stamp_ns
         self._learn_sigma(match)
         return Followed(match, moved, along, across, turned)

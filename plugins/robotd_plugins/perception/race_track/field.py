@@ -67,7 +67,8 @@ def _exact(tree: object, points: Float64s, normals: Float64s, cells: Float64s) -
     plane = (weight * across).sum(axis=1) / weight.sum(axis=1)
     # beyond the end of a wall, the distance to the end
     ends = beside[:, 0] > np.maximum(_BESIDE_M, np.abs(across[:, 0]))
-    return np.where(ends, np.copysign(size[:, 0], across[:, 0]), plane)
+    found: Float64s = np.where(ends, np.copysign(size[:, 0], across[:, 0]), plane)
+    return found
 
 
 def _only_what_was_seen(field: Float64s, path_m: Float64s, low: Float64s, resolution_m: float) -> Float64s:

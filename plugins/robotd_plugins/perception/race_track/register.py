@@ -90,7 +90,7 @@ def placed(points: Float64s, key: Ints, poses: Float64s) -> Float64s:
 
 
 def _walls(world: Float64s, eyes: Float64s, most: int, reach_m: float) -> tuple[Float64s, Float64s, Ints, Any]:
-    """For each point: the normal towards its eye, the mean of its neighbours, which those are (m, most), which count."""
+    """For each point: its normal towards its eye, the mean of its neighbours, which they are (m, most), which count."""
     from scipy.spatial import cKDTree
 
     distance, neighbours = cKDTree(world).query(world, k=most, distance_upper_bound=reach_m)
@@ -109,7 +109,8 @@ def _walls(world: Float64s, eyes: Float64s, most: int, reach_m: float) -> tuple[
 
 def _within(world: Float64s, neighbours: Ints, reach_m: float) -> NDArray[np.bool_]:
     away = world[neighbours] - world[:, None, :]
-    return np.einsum("ijk,ijk->ij", away, away) < reach_m * reach_m
+    near: NDArray[np.bool_] = np.einsum("ijk,ijk->ij", away, away) < reach_m * reach_m
+    return near
 
 
 def _ties(normals: Float64s, key: Ints, neighbours: Ints, there: NDArray[np.bool_]) -> tuple[Ints, Ints]:
@@ -169,7 +170,7 @@ def _step_rows(poses: Float64s, steps: Float64s) -> tuple[Any, Float64s, Float64
 def _pair_rows(
     poses: Float64s, one: Ints, other: Ints, seen: Float64s, sigma: Float64s
 ) -> tuple[Any, Float64s, Float64s]:
-    """Rows that want `other` seen from `one` as `seen`; both change by dx, dy in `track` and a turn about themselves."""
+    """Rows that want `other` seen from `one` as `seen`; both move in `track` and turn about themselves."""
     from scipy.sparse import csr_array
 
     a, b = poses[one], poses[other]

@@ -6,6 +6,7 @@ import math
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robotd.world.messages import Float64s
 from robotd_plugins.toolkit.race_track import RaceTrack
@@ -40,7 +41,7 @@ class FieldWalls:
         here = self._flat.take(at, mode="clip")
         return np.where(here > -_KNOWN_M, here, -math.inf)
 
-    def _cells(self, u: Float64s, v: Float64s) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # type: ignore[type-arg]
+    def _cells(self, u: Float64s, v: Float64s) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
         column, row = u.astype(np.int32), v.astype(np.int32)
         # outside the grid everything is its rim, where nothing is known
         np.minimum(np.maximum(column, 0, out=column), self._columns - 1, out=column)

@@ -29,7 +29,7 @@ _TANGENT_M: Final = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KeyFrame:
-    """Walls (5, BINS) over bearing about the lidar: x, y in base, the normal's x, y towards the lidar, spread in metres.
+    """Walls (5, BINS) over bearing about the lidar: x, y in base, x, y of the normal towards the lidar, spread in m.
 
     Without a return the spread is inf.
     """
