@@ -14,6 +14,8 @@ T = TypeVar("T")
 
 _DRAIN_STEP_S = 0.001
 
+#: What the kernel hands over at once when more is waiting (its line buffer has 4096 bytes, one of them unused).
+READ_BYTES = 4095
 #: The most that one callback takes from the kernel: a second and more of the fastest lidar.
 _LONGEST_READ = 262_144
 
@@ -99,13 +101,11 @@ class SerialBase:
             self._let_go()
             self._fd = -1
 
-    def _with_rest(self, data: bytes, full: int) -> bytes:
-        """What a read gave and, where it was full, all that waits behind it.
+    def _with_rest(self, data: bytes) -> bytes:
+        """What a full read gave, and all that waits behind it.
 
         After a stall of the loop the driver must see how much came at once, or it takes old bytes for new ones.
         """
-        if len(data) < full:
-            return data
         pieces, total = [data], len(data)
         while total < _LONGEST_READ:
             try:

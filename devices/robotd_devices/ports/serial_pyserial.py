@@ -1,23 +1,36 @@
-"""The default serial back end: pyserial-asyncio opens, reads and reports the loss; its traps are closed here.
+"""The default serial back end: pyserial-asyncio opens, waits for bytes and reports the loss; its traps are closed here.
 
 Known of pyserial-asyncio 0.6 and pyserial 3.5: opening blocks the loop (so it is done in a worker thread);
 `close()` with unsent output never ends (so `abort()` only); on the way out it calls tcdrain on the loop (so the
-output is thrown away before); a second `abort()` raises from a callback. The `-fast` fork hangs the loop on a full
-line and is not used.
+output is thrown away before); a second `abort()` raises from a callback; pyserial's own `read` asks select before each
+of its reads and once more after the last (so the transport is given a plain read). The `-fast` fork hangs the loop on
+a full line and is not used.
 """
 
 from __future__ import annotations
 
 import asyncio
 import fcntl
+import os
 import termios
+from functools import partial
 from typing import Any
 
 from robotd_devices.ports import serial_line
-from robotd_devices.ports.serial_base import SerialBase, off_loop
+from robotd_devices.ports.serial_base import READ_BYTES, SerialBase, off_loop
 
-#: The transport never reads more at once.
-_TRANSPORT_READ = 1024
+
+def _read(fd: int, gone: type[Exception], size: int) -> bytes:
+    """What waits on a line, for a transport that asks for `size` bytes; empty for nothing. Raises `gone`."""
+    try:
+        data = os.read(fd, READ_BYTES)
+    except (BlockingIOError, InterruptedError):
+        return b""
+    except OSError as error:
+        raise gone(error.strerror) from error
+    if not data:
+        raise gone("end of file")
+    return data
 
 
 class _Relay(asyncio.Protocol):
@@ -60,6 +73,7 @@ class PySerialPort(SerialBase):
             return line
 
         line = await off_loop(blocking, lambda late: late.close())
+        line.read = partial(_read, line.fileno(), serial.SerialException)
         self._loop = asyncio.get_running_loop()
         self._relay = _Relay(self)
         self._transport = serial_asyncio.SerialTransport(self._loop, self._relay, line)
@@ -67,7 +81,7 @@ class PySerialPort(SerialBase):
 
     def received(self, data: bytes) -> None:
         """Bytes from the transport, inside the loop's reader callback."""
-        self._on_data(self._with_rest(data, _TRANSPORT_READ))
+        self._on_data(data if len(data) < READ_BYTES else self._with_rest(data))
 
     def transport_lost(self, error: Exception | None) -> None:
         """The transport's report; the descriptor is still open and is closed by the transport after this call."""

@@ -7,10 +7,7 @@ import os
 import termios
 
 from robotd_devices.ports import serial_line
-from robotd_devices.ports.serial_base import SerialBase, off_loop
-
-#: What the kernel hands over at once when more is waiting (its line buffer has 4096 bytes, one of them unused).
-READ_BYTES = 4095
+from robotd_devices.ports.serial_base import READ_BYTES, SerialBase, off_loop
 
 
 class RawSerialPort(SerialBase):
@@ -38,7 +35,7 @@ class RawSerialPort(SerialBase):
             self._lose(f"{self.settings.path} went away ({error.strerror})")
             return
         if data:
-            self._on_data(self._with_rest(data, READ_BYTES))
+            self._on_data(data if len(data) < READ_BYTES else self._with_rest(data))
         else:
             self._lose(f"{self.settings.path} went away (end of file)")
 

@@ -70,6 +70,9 @@ class State(enum.Enum):
     TRIPPED = "tripped"
 
 
+_WATCHING = State.WATCHING
+
+
 class Guarding:
     """One guardian after another. Everything belongs on the loop thread; nothing blocks but `start`, some 10 ms."""
 
@@ -149,21 +152,18 @@ class Guarding:
 
     def may_write(self) -> bool:
         """Whether a command may go to the motors; where it may not because the loop stood still, that is a trip."""
-        if self.state is not State.WATCHING:
+        if self.state is not _WATCHING:  # the member by itself: an enum looks it up each time, and this is asked often
             return self.state is State.IDLE
-        now_ns = clock_ns()
-        if self._is_alive(now_ns):
+        silent_ns = clock_ns() - self._beat_ns
+        if silent_ns <= self._limit_ns:
             return True
-        self._trip(now_ns - self._beat_ns)
+        self._trip(silent_ns)
         return False
 
     def stop_now(self) -> None:
         """Have the stop written by the guardian as well, at once, whatever the state of the driver's line."""
         if self.state in (State.IDLE, State.WATCHING):
             self._send(b"S")
-
-    def _is_alive(self, now_ns: int) -> bool:
-        return now_ns - self._beat_ns <= self._limit_ns
 
     def _breathe(self, armed: bool, now_ns: int) -> None:
         self.state = State.WATCHING if armed else State.IDLE

@@ -53,14 +53,13 @@ class WayDown:
         self._journal = journal
         self._applied = graph.slots["applied"]
         self._scans: tuple[Slot, ...] = tuple(graph.slots[name] for name in self.guard.sources)
-        self._sensed: list[Sensed | None] = [None] * len(self._scans)
-        self._sensed_sequence = [-1] * len(self._scans)
+        self._sensed: dict[Slot, tuple[int, Sensed]] = {}
         self._scan_within_ns = ns(parts.guard.scan_within_s)
         kinematics = parts.robot.kinematics
         self._wheelbase_m = kinematics.wheelbase_m if isinstance(kinematics, Ackermann) else None
         self._driving = True  # so that the first turn writes a stop
         self._written_ns = now_ns
-        self._settled: tuple[str, Command, list[int]] | None = None
+        self._settled: tuple[str, Command, int] | None = None
         self._ticks_halted = 0
 
     @property
@@ -87,15 +86,28 @@ class WayDown:
         winner = verdict.winner
         if winner is None:
             return self._stand(now_ns, tick=tick)
-        sequences = [slot.sequence for slot in self._scans]
-        stale = self._stale_source(now_ns)
-        settled = (winner.by, winner.command, sequences)
+        stale, scans = "", 0
+        for slot in self._scans:
+            scans += slot.sequence  # grows with each scan of any source
+            if slot.message is None or now_ns - slot.oldest_ns > self._scan_within_ns:
+                stale = stale or slot.topic.name
+        settled = (winner.by, winner.command, scans)
         if settled == self._settled and not stale:
             if tick:  # nothing changed: the heartbeat repeats what was decided
                 self._base.apply(self.command)
                 self._written_ns = now_ns
             return False
-        guarded = self._guarded(winner, stale, now_ns)
+        command = winner.command
+        if command.__class__ is not self.takes:
+            command = self._converted(command)
+        guarded = self.guard.limit(
+            command,
+            by=winner.by,
+            previous=self.command,
+            dt_s=(now_ns - self._written_ns) / 1e9,
+            sensed=() if stale else self._sense(),
+            stale=stale,
+        )
         # a ramp goes on by itself; anything else stays until the wish or a scan changes
         self._settled = settled if "acceleration" not in guarded.limited_by else None
         self._driving = True
@@ -128,29 +140,21 @@ class WayDown:
                 self._base.halt()
         return False
 
-    def _stale_source(self, now_ns: int) -> str:
-        for slot in self._scans:
-            if slot.message is None or now_ns - slot.oldest_ns > self._scan_within_ns:
-                return slot.topic.name
-        return ""
+    def _converted(self, command: Command) -> Command:
+        """A car's command for a base that takes velocities."""
+        return steer_to_drive(command, self._wheelbase_m or 1.0) if isinstance(command, Steer) else command
 
-    def _guarded(self, winner: Proposal, stale: str, now_ns: int) -> Guarded:
-        command = winner.command
-        if self.takes is Drive and isinstance(command, Steer):
-            command = steer_to_drive(command, self._wheelbase_m or 1.0)
-        sensed: list[Sensed] = []
-        if not stale:
-            for i, slot in enumerate(self._scans):
-                known = self._sensed[i]
-                if known is None or self._sensed_sequence[i] != slot.sequence:
-                    scan = slot.message
-                    assert isinstance(scan, LidarScan)
-                    known = self.guard.sense(slot.topic.name, scan)
-                    self._sensed[i] = known
-                    self._sensed_sequence[i] = slot.sequence
-                sensed.append(known)
-        dt_s = (now_ns - self._written_ns) / 1e9
-        return self.guard.limit(command, by=winner.by, previous=self.command, dt_s=dt_s, sensed=sensed, stale=stale)
+    def _sense(self) -> list[Sensed]:
+        """What the zones need of their sources, each of which has a scan; worked out once a scan."""
+        sensed = []
+        for slot in self._scans:
+            sequence, known = self._sensed.get(slot, (-1, None))
+            if known is None or sequence != slot.sequence:
+                assert isinstance(slot.message, LidarScan)
+                known = self.guard.sense(slot.topic.name, slot.message)
+                self._sensed[slot] = slot.sequence, known
+            sensed.append(known)
+        return sensed
 
     def _write(self, command: Command | None, by: str, limited_by: tuple[str, ...], now_ns: int) -> None:
         if command is None:
