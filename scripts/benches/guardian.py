@@ -28,6 +28,7 @@ from robotd_devices.ports.pty_host import PtyHost
 LOCKUPS = ("python", "gil", "sleep", "frozen", "crowded")
 ENDS = ("sigkill", "sigterm", "sigterm_group", "sigtstp", "estop", "exception")
 BLOCK_S = 0.25
+_SCHEDULING = {os.SCHED_OTHER: "ordinary", os.SCHED_FIFO: "SCHED_FIFO"}
 _SPIN = "import os\nos.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))\nwhile True: pass"
 
 
@@ -37,6 +38,8 @@ class Stage:
     def __init__(self, kind: str, folder: Path, launcher: Launcher) -> None:
         self.kind = kind
         self.false_trips = 0
+        self.schedulings: set[str] = set()
+        """What the guardians got."""
         self._path = folder / kind
         self._launcher = launcher
         self._robot: Told | None = None
@@ -67,7 +70,9 @@ class Stage:
         robot = self._robot
         self._seen = len(self._bus.log) if self.kind == "i2c" else len(self._line.heard)
         while True:
-            robot.until(lambda told: told["ready"], "the guardian and the line")
+            told = robot.until(lambda told: told["ready"], "the guardian and the line")
+            if not self.schedulings:
+                self.schedulings.add(_SCHEDULING.get(os.sched_getscheduler(told["guardian"]), "another"))
             if not (told := robot.ask("arm"))["armed"]:
                 raise RuntimeError(f"not armed: {told['why']}")
             try:
@@ -142,8 +147,12 @@ def crowd(mode: str) -> Iterator[None]:
 
 
 class Guardian(Bench):
-    """Every way in which a program can fail to stop its motors, on a serial line and on an I2C bus."""
+    """Every way in which a program can fail to stop its motors, on a serial line and on an I2C bus.
 
+    plain: the robot and its guardian have no privileges, as on a computer that nobody set up for it.
+    """
+
+    plain: ClassVar[bool] = False
     name: ClassVar[str] = "guardian"
     about: ClassVar[str] = "from the fault to the stop on the motors' side of the line"
     figures: ClassVar[tuple[Figure, ...]] = (
@@ -155,13 +164,15 @@ class Guardian(Bench):
 
     def run(self, ctx: Context) -> None:
         count = 4 if ctx.quick else 200
-        with tempfile.TemporaryDirectory() as name, Launcher() as launcher, ExitStack() as stack:
-            ctx.note(_punctual())
+        with tempfile.TemporaryDirectory() as name, Launcher(plain=self.plain) as launcher, ExitStack() as stack:
+            fakes = _punctual()
             stages = [stack.enter_context(Stage(kind, Path(name), launcher).up()) for kind in KINDS]
             for mode in (*LOCKUPS, *ENDS):
                 with crowd(mode):
                     for stage in stages:
                         self._mode(ctx, stage, mode, count)
+        guardians = ", ".join(sorted(set().union(*(stage.schedulings for stage in stages)))) or "not looked at"
+        ctx.note(f"scheduling: fakes' side {fakes}, guardian {guardians}, robot ordinary")
         trips = sum(stage.false_trips for stage in stages)
         ctx.note(f"{trips} times the guardian stopped a robot that was only slow (crowded or shared cores)")
         self._figures(ctx)
@@ -202,8 +213,8 @@ def _punctual() -> str:
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(2))
     except (OSError, AttributeError):
-        return "scheduling: ordinary (SCHED_OTHER) for the fakes and for the guardian"
-    return "scheduling: SCHED_FIFO for the fakes' side (2) and the guardian (1), ordinary for the robot"
+        return "ordinary"
+    return "SCHED_FIFO 2"
 
 
 BENCH = Guardian()

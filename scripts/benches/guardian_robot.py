@@ -10,6 +10,7 @@ import ctypes
 import json
 import logging
 import os
+import resource
 import signal
 import socket
 import subprocess
@@ -35,6 +36,8 @@ from robotd.world.robot import Limits, Robot
 from robotd_devices.motor.jetbot import JetBotMotors, JetBotMotorsConfig
 
 KINDS = ("i2c", "serial")
+_PR_CAPBSET_DROP = 24  # linux/prctl.h
+_USUAL_MEMLOCK = 8 << 20
 
 
 class Beat(View, hz=50):
@@ -207,8 +210,27 @@ class Told:
         self._line.close()
 
 
+def give_up_privileges() -> None:
+    """Between fork and exec: what runs from there on, and all its children, can have no capability any more.
+
+    The user stays, so that it may read this project wherever that lies; scheduling, locking memory and the like ask for
+    capabilities alone.
+    """
+    prctl = ctypes.CDLL(None, use_errno=True).prctl
+    for capability in range(64):
+        prctl(_PR_CAPBSET_DROP, capability, 0, 0, 0)  # fails behind the last one that the kernel knows
+    resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
+    resource.setrlimit(resource.RLIMIT_MEMLOCK, (_USUAL_MEMLOCK, _USUAL_MEMLOCK))
+
+
 class Launcher:
-    """A process that forks robots: `with Launcher() as launcher: robot = launcher.start("serial", path)`."""
+    """A process that forks robots: `with Launcher() as launcher: robot = launcher.start("serial", path)`.
+
+    plain: the robots, and so their guardians, have no privileges, whoever runs the bench.
+    """
+
+    def __init__(self, *, plain: bool = False) -> None:
+        self._plain = plain
 
     def __enter__(self) -> Launcher:
         self._ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -218,6 +240,7 @@ class Launcher:
                 pass_fds=(theirs.fileno(),),
                 stdin=subprocess.DEVNULL,
                 env=os.environ | {"PYTHONPATH": str(Path(__file__).resolve().parents[1])},
+                preexec_fn=give_up_privileges if self._plain else None,
             )
         self._ours.settimeout(30.0)
         self._ours.recv(16)  # everything is imported

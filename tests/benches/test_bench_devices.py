@@ -14,9 +14,12 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "scripts"))
 
-from benches.devices_replug import RSS_GROWTH_MB, Held, left_behind  # noqa: E402
+from benches.devices import BENCH  # noqa: E402
+from benches.devices_replug import RSS_GROWTH_MB, Held, left_behind, missing  # noqa: E402
 from benches.devices_serial import Lines  # noqa: E402
 from benches.devices_serial_robot import bare  # noqa: E402
+from benches.guardian_robot import give_up_privileges  # noqa: E402
+from benches.harness import Context, Rows  # noqa: E402
 
 BEFORE = Held(descriptors=12, tasks=5, threads=3, rss_mb=60.0)
 
@@ -33,6 +36,31 @@ BEFORE = Held(descriptors=12, tasks=5, threads=3, rss_mb=60.0)
 )
 def test_left_behind(after: Held, words: list[str]) -> None:
     assert left_behind(BEFORE, after) == words
+
+
+@pytest.mark.parametrize(
+    ("there", "first"),
+    [
+        ([], 0),
+        (["0", "1"], 2),
+        (["0", "2"], 1),
+        (["0", "1", "2", "3"], 3),  # only what it left behind is not known
+        (["0", "1", "2", "3", "left"], 4),
+    ],
+)
+def test_an_interrupted_run_goes_on_where_it_was(there: list[str], first: int) -> None:
+    ctx = Context(BENCH, True, Path(), Rows("devices", None, "", print), print)
+    for key in there:
+        ctx.row({"what": "replug"}, key=f"replug mc {key}")
+    assert missing(ctx, "mc", 4) == first
+
+
+def test_without_privileges_nothing_is_left_of_them() -> None:
+    told = subprocess.run(
+        ["grep", "Cap", "/proc/self/status"], preexec_fn=give_up_privileges, capture_output=True, check=True, text=True
+    )
+    left = dict(line.split(":\t") for line in told.stdout.splitlines())
+    assert {left[name].strip("0") for name in ("CapPrm", "CapEff", "CapBnd" if os.getuid() == 0 else "CapEff")} == {""}
 
 
 def test_the_bare_reader_echoes_what_is_whole() -> None:
