@@ -6,6 +6,7 @@ carries the steps out:
     Say(data)                     write                                            -> None
     Ask(data, kind, within_s)     write, wait for the answer of a type             -> its bytes, or None: no answer
     Start(data, within_s)         write, wait for the descriptor of a stream       -> Descriptor, or None
+    Repeat(data, size, ...)       write again and again until bytes come  -> the first `size` of them, or None
     Pause(s), Quiet(s, within_s)  wait; wait for a silence, dropping what comes    -> None
     Dtr(on)                       set the modem line, where there is one           -> None
     Warn(name, detail)            count a fault                                    -> None
@@ -43,6 +44,16 @@ class Start(NamedTuple):
     within_s: float
 
 
+class Repeat(NamedTuple):
+    """Write every so often until anything comes, then wait a moment for the rest of what is wanted."""
+
+    data: bytes
+    size: int
+    every_s: float = 0.01
+    within_s: float = 1.5
+    rest_s: float = 0.5
+
+
 class Pause(NamedTuple):
     """Wait."""
 
@@ -69,7 +80,7 @@ class Warn(NamedTuple):
     detail: str
 
 
-Step: TypeAlias = Say | Ask | Start | Pause | Quiet | Dtr | Warn
+Step: TypeAlias = Say | Ask | Start | Repeat | Pause | Quiet | Dtr | Warn
 T = TypeVar("T")
 Talk: TypeAlias = Generator[Step, Any, T]
 
@@ -142,6 +153,8 @@ class Dialogue:
             await asyncio.sleep(step.seconds)
         elif isinstance(step, Quiet):
             await self._quiet(step)
+        elif isinstance(step, Repeat):
+            return await self._repeat(port, step)
         else:
             return await self._answer(port, step)
         return None
@@ -166,6 +179,27 @@ class Dialogue:
 
     def _keep(self, data: bytes) -> None:
         self._rest += data
+
+    async def _repeat(self, port: SerialPort, step: Repeat) -> bytes | None:
+        loop, got = asyncio.get_running_loop(), bytearray()
+
+        def collect(data: bytes) -> None:
+            got.extend(data)
+            self._news.set()
+
+        self._parse, until_s = collect, loop.time() + step.within_s
+        try:
+            while not got and loop.time() < until_s:
+                self._news.clear()
+                port.write(step.data)
+                await self._heard(step.every_s)
+            until_s = loop.time() + step.rest_s
+            while 0 < len(got) < step.size and loop.time() < until_s:
+                self._news.clear()
+                await self._heard(max(0.0, until_s - loop.time()))
+        finally:
+            self._parse = None
+        return bytes(got[: step.size]) if len(got) >= step.size else None
 
     async def _quiet(self, step: Quiet) -> None:
         loop = asyncio.get_running_loop()

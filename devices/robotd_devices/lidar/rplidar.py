@@ -36,6 +36,8 @@ class RplidarConfig(Config):
     """Serial port by its stable name, or a pattern that fits one; the default is the kit's own adapter."""
     baud: int | Literal["auto"] = "auto"
     """Speed of the line; auto tries 115200 (A1, A2M8), 256000 (A2M12, A3, S1), 460800 (C1), 1000000 (S2, S3)."""
+    negotiate: bool = False
+    """Ask the lidar to take over `baud`, where it does not answer at it: for a UART that cannot do the lidar's own."""
     backend: Backend = "pyserial"
     """How the port is read: pyserial (pyserial-asyncio), serialx (its extra) or raw (no library, lower latency)."""
     mode: str = Field(default="auto", min_length=1)
@@ -65,6 +67,8 @@ class RplidarConfig(Config):
             raise ValueError(f"range_min_m {self.range_min_m} must be below range_max_m {self.range_max_m}")
         if self.baud != "auto" and not 9_600 <= self.baud <= 4_000_000:
             raise ValueError(f"baud {self.baud} is no speed of an RPLIDAR: auto, or 9600 to 4000000")
+        if self.negotiate and self.baud == "auto":
+            raise ValueError("negotiate needs a `baud` to agree on: write a number, say 115200")
         return self
 
 
@@ -117,10 +121,13 @@ class Rplidar(Sensor[RplidarConfig, LidarScan]):
         bauds = [config.baud] if config.baud != "auto" else sorted(BAUDS, key=lambda baud: baud != self._baud)
         heard = 0
         for baud in bauds:
-            settings = SerialSettings(config.port, baud, dtr=None if config.motor == "none" else False)
-            line = self._line = Dialogue(self.context.link.fault)
-            await line.open(serial_port(settings, config.backend, line.take, self._gone))
+            line, settings = await self._open_at(baud)
             info = await line.say(talk.hello())
+            if info is None and config.negotiate and await line.say(talk.measure_speed()) is not None:
+                await line.leave(b"", dtr=None)
+                line, settings = await self._open_at(baud)
+                await line.say(talk.settle(baud))
+                info = await line.say(talk.hello())
             if info is not None:
                 self._baud = baud
                 return line, settings, info
@@ -133,6 +140,13 @@ class Rplidar(Sensor[RplidarConfig, LidarScan]):
             else "no byte came: is the lidar powered (5 V, 1 A at start), and are its data wires crossed?"
         )
         raise DeviceUnavailable(f"no RPLIDAR answers on {config.port} at {tried} baud; {why}")
+
+    async def _open_at(self, baud: int) -> tuple[Dialogue, SerialSettings]:
+        config = self.config
+        settings = SerialSettings(config.port, baud, dtr=None if config.motor == "none" else False)
+        line = self._line = Dialogue(self.context.link.fault)
+        await line.open(serial_port(settings, config.backend, line.take, self._gone))
+        return line, settings
 
     def _listen(self, settings: SerialSettings) -> None:
         """Hand the stream to a parser and a sweep of the scan's format."""

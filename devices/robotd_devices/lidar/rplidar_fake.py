@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
 from typing import ClassVar
 
@@ -18,12 +17,14 @@ from robotd_devices.lidar import rplidar_wire as wire
 from robotd_devices.lidar.answers import encode_descriptor
 from robotd_devices.lidar.ld19_fake import BoxRoom, RangeOf
 from robotd_devices.lidar.rplidar_capsules import DENSE, EXPRESS, FORMATS, TURN_Q6, ULTRA, CapsuleFormat, seal
-from robotd_devices.lidar.rplidar_models import Motor, ScanMode
+from robotd_devices.lidar.rplidar_fake_models import MODELS, STANDARD
+from robotd_devices.lidar.rplidar_models import ScanMode
 from robotd_devices.lidar.rplidar_nodes import NODE_BYTES
 from robotd_devices.lidar.xor_fold import xor_fold
 from robotd_devices.ports.breakable import Breakable
 
-STANDARD = 0x81
+__all__ = ["MODELS", "RplidarFake"]
+
 _BANNER = b"RP LIDAR System.\r\nFirmware Ver %d.%02d, HW Ver %d\r\nModel: %02x\r\n"
 _QUALITY_NODE, _QUALITY_ULTRA = 47, 200
 #: A sample leaves the device one and a half sample times after it was taken, as the vendor's SDK assumes.
@@ -33,44 +34,6 @@ _SWING, _SWING_HZ = 0.2, 0.9
 #: Where the quarter of the view lies that sends nothing back, clockwise from the mark.
 _BLANK_DEG = (40.0, 130.0)
 _CODE = 0x0102
-
-
-@dataclass(frozen=True, slots=True)
-class FakeModel:
-    """What a model says of itself. `typical`: number of the mode that it prefers; `lags`: it measures by triangulation,
-    so that a beam lags behind the head by an angle that grows with the distance."""
-
-    info: wire.Info
-    baud: int
-    motor: Motor
-    modes: tuple[ScanMode, ...]
-    typical: int
-    lags: bool = False
-
-
-def _model(
-    model: int, firmware: int, baud: int, motor: Motor, lags: bool, typical: int, *modes: tuple[str, int, float]
-) -> FakeModel:
-    table = tuple(ScanMode(i, name, answer, us, 12.0) for i, (name, answer, us) in enumerate(modes))
-    info = wire.Info(model, firmware, 7, f"{model:02X}" * 16)
-    return FakeModel(info, baud, motor, table, typical, lags)
-
-
-_S, _E, _U = ("Standard", STANDARD), ("Express", 0x82), ("Boost", 0x84)
-MODELS = {
-    "a1": _model(0x18, 0x011D, 115_200, "dtr", True, 2, (*_S, 508.0), (*_E, 254.0), (*_U, 127.0)),
-    "a2": _model(0x2C, 0x011E, 256_000, "pwm", True, 2, (*_S, 252.0), (*_E, 126.0), (*_U, 63.0)),
-    "a3": _model(0x31, 0x011A, 256_000, "pwm", True, 2, (*_S, 252.0), (*_E, 126.0), (*_U, 62.5)),
-    "s1": _model(0x61, 0x0117, 256_000, "rpm", False, 1, (*_S, 217.0), ("DenseBoost", 0x85, 108.0)),
-    "s2": _model(0x71, 0x0101, 1_000_000, "rpm", False, 1, (*_S, 62.5), ("DenseBoost", 0x85, 31.25)),
-    "s3": _model(
-        0x81, 0x0101, 1_000_000, "rpm", False, 2,
-        (*_S, 62.5), ("DenseBoost", 0x85, 31.25), ("UltraDense", 0x86, 31.25),
-    ),
-    "c1": _model(0x41, 0x0101, 460_800, "none", False, 0, (*_S, 200.0)),
-    "s2-hq": _model(0x71, 0x0102, 1_000_000, "rpm", False, 1, (*_S, 125.0), ("HQ", hq.HQ, 125.0)),
-    "a1-old": _model(0x18, 0x0114, 115_200, "dtr", True, 0, (*_S, 508.0), (*_E, 254.0)),
-}  # fmt: skip
 
 
 class RplidarFake(Breakable):
@@ -164,6 +127,14 @@ class RplidarFake(Breakable):
         self._pwm = wire.DEFAULT_PWM
         self._motor(now_ns)
         self._scan(self.model.typical, now_ns)
+
+    def measures(self, data: bytes, baud: int) -> bool:
+        """Bytes at another speed than its own; whether it takes that speed over, for which it needs firmware 1.30."""
+        info = self.model.info
+        if wire.MEASURE_ME not in data or (info.firmware < 0x011E and info.family < 4):
+            return False
+        self._out = struct.pack("<I", baud)
+        return True
 
     def set_dtr(self, on: bool, now_ns: int) -> None:
         """The adapter's DTR line: raised, it stops the motor of an A1."""

@@ -11,7 +11,7 @@ from typing import cast, get_args
 
 from robotd.authoring.device import DeviceMisconfigured, DeviceUnavailable
 from robotd_devices.lidar import rplidar_wire as wire
-from robotd_devices.lidar.dialogue import Ask, Dtr, Pause, Quiet, Say, Start, Talk, Warn
+from robotd_devices.lidar.dialogue import Ask, Dtr, Pause, Quiet, Repeat, Say, Start, Talk, Warn
 from robotd_devices.lidar.rplidar_capsules import FORMATS
 from robotd_devices.lidar.rplidar_hq import HQ
 from robotd_devices.lidar.rplidar_models import (
@@ -64,6 +64,24 @@ def hello() -> Talk[wire.Info | None]:
         if answer is not None and len(answer) == 20:
             return wire.decode_info(answer)
     return None
+
+
+def measure_speed() -> Talk[int | None]:
+    """Let the device measure the speed of this line; what it measured, in baud, or None where it cannot.
+
+    The port is to be opened anew then, for `settle`.
+    """
+    yield Say(wire.request(wire.STOP))
+    yield Quiet(within_s=0.3)
+    answer = yield Repeat(wire.MEASURE_ME, 4)
+    return None if answer is None else int.from_bytes(answer, "little")
+
+
+def settle(baud: int) -> Talk[None]:
+    """On a port that was opened anew: stay at the speed that was measured."""
+    yield Quiet(0.02, within_s=0.1)
+    yield Say(wire.confirm_baud(baud))
+    yield Pause(0.01)
 
 
 def get_ready(info: wire.Info, wishes: Wishes) -> Talk[Scanning]:

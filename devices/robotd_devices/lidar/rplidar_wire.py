@@ -15,6 +15,7 @@ STOP, RESET, SCAN, FORCE_SCAN = 0x25, 0x40, 0x20, 0x21
 EXPRESS_SCAN = 0x82
 GET_INFO, GET_HEALTH, GET_SAMPLE_RATE, GET_CONF = 0x50, 0x52, 0x59, 0x84
 SET_PWM, SET_RPM, GET_BOARD_FLAG = 0xF0, 0xA8, 0xFF
+CONFIRM_BAUD = 0x90
 
 INFO, HEALTH, SAMPLE_RATE, CONF, BOARD_FLAG = 0x04, 0x06, 0x15, 0x20, 0xFF
 """Types of answers."""
@@ -23,6 +24,10 @@ MODE_COUNT, MODE_US_PER_SAMPLE, MODE_MAX_DISTANCE, MODE_ANSWER, MODE_TYPICAL, MO
     0x70, 0x71, 0x74, 0x75, 0x7C, 0x7F,
 )  # fmt: skip
 """Entries of the device's own table of scan modes."""
+
+#: A device with firmware 1.30 or later measures the speed of a line on which this comes again and again.
+MEASURE_ME = b"\x41" * 16
+_CONFIRMED = 0x5F5F
 
 #: Pulse width of the A2's and A3's motor: the SDK's default of 0..1023.
 DEFAULT_PWM = 660
@@ -55,6 +60,11 @@ def motor_pwm(pwm: int) -> bytes:
 def motor_rpm(rpm: int) -> bytes:
     """Sets the motor's speed in revolutions a minute; 0 stops it."""
     return request(SET_RPM, struct.pack("<H", rpm))
+
+
+def confirm_baud(baud: int) -> bytes:
+    """Tells the device to stay at the speed that it measured. There is no answer."""
+    return request(CONFIRM_BAUD, struct.pack("<HIH", _CONFIRMED, baud, 0))
 
 
 class Info(NamedTuple):

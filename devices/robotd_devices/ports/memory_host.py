@@ -25,7 +25,8 @@ class MemoryHost(Breakable):
     """The cable between a driver and a fake. `port` stands in for `serial_port`, and for a driver's `make_port`.
 
     Bytes take their time on the wire both ways. A port at another speed than `baud` reads noise, and what it writes is
-    not understood. On virtual time everything is the same bit for bit, with the same `seed`.
+    not understood, unless the fake has a `measures(data, baud)` by which it takes another speed over. On virtual time
+    everything is the same bit for bit, with the same `seed`.
     """
 
     breaks: ClassVar[Mapping[str, str]] = MappingProxyType(
@@ -220,8 +221,11 @@ class MemoryPort:
         data = bytes(self._out[:count])
         del self._out[:count]
         self._out_s += len(data) * byte_s
-        if self.settings.baud == self._host.baud:
-            self._host.fake.feed(data, now_ns())
+        host, measures = self._host, getattr(self._host.fake, "measures", None)
+        if self.settings.baud == host.baud:
+            host.fake.feed(data, now_ns())
+        elif measures is not None and measures(data, self.settings.baud):
+            host.baud = self.settings.baud
 
     def _receive(self) -> bytes:
         """Bytes whose time on the wire is over, as they are read."""

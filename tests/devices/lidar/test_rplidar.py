@@ -20,6 +20,7 @@ from robotd_devices.lidar import rplidar_wire as wire
 from robotd_devices.lidar.ld19_fake import BoxRoom
 from robotd_devices.lidar.rplidar import Rplidar, RplidarConfig
 from robotd_devices.lidar.rplidar_fake import MODELS, RplidarFake
+from robotd_devices.ports.memory_host import MemoryHost
 from robotd_devices.ports.pty_host import PtyHost
 
 
@@ -308,6 +309,34 @@ def test_opening_can_be_cancelled(monkeypatch: pytest.MonkeyPatch, after_s: floa
     story()
 
 
+@pytest.mark.parametrize(("model", "can"), [("a1", False), ("a2", True), ("s2", True)])
+def test_a_lidar_is_asked_to_take_another_speed_over(monkeypatch: pytest.MonkeyPatch, model: str, can: bool) -> None:
+    """The A1 here has firmware 1.29, one too old."""
+    fake = RplidarFake(model)
+    line = MemoryHost(fake, fake.model.baud)
+    monkeypatch.setattr(rplidar, "serial_port", line.port)
+    lidar, link = connected(Rplidar, RplidarConfig(port="/dev/lidar", baud=460_800, negotiate=True))
+
+    @virtual_time
+    async def story() -> None:
+        if can:
+            await lidar.open()
+            assert now_s() < 3.0
+            confirm = next(at for at, (_, data) in enumerate(line.written) if data == wire.confirm_baud(460_800))
+            assert len(line.opened) == 2
+            assert line.written[confirm][0] > line.opened[1][0]
+            await link.received(2)
+            assert link.faults == []
+        else:
+            with pytest.raises(DeviceUnavailable, match="at 460800 baud"):
+                await lidar.open()
+            assert now_s() < 5.0
+        await lidar.close()
+        assert not fake.turning
+
+    story()
+
+
 @pytest.mark.parametrize("model", ["a1", "a2", "s2"])
 @pytest.mark.parametrize("ending", ["no scan", "cancelled", "no answer any more"])
 def test_the_motor_stands_after_an_opening_that_failed_behind_its_start(
@@ -347,6 +376,7 @@ def test_the_motor_stands_after_an_opening_that_failed_behind_its_start(
         ({"motor": "diesel"}, "motor"),
         ({"range_min_m": 1.0, "range_max_m": 0.5}, "must be below range_max_m"),
         ({"bauds": 1}, "bauds"),
+        ({"negotiate": True}, "needs a `baud`"),
     ],
 )
 def test_config_refuses(config: dict[str, object], words: str) -> None:

@@ -22,6 +22,7 @@ from robotd_devices.lidar import rplidar_wire as wire
         (wire.express_scan(2), "a58205020000000020"),
         (wire.motor_pwm(660), "a5f0029402c1"),
         (wire.motor_pwm(0), "a5f002000057"),
+        (wire.confirm_baud(256_000), "a590085f5f00e803000000d6"),
         (wire.motor_rpm(600), "a5a802580255"),
         (wire.request(wire.GET_BOARD_FLAG, bytes(4)), "a5ff04000000005e"),
         (wire.conf(wire.MODE_COUNT), "a584047000000055"),
