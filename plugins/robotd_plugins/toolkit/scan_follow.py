@@ -23,10 +23,11 @@ Twist = tuple[float, float, float]
 class Followed:
     """One scan's match. moved: base at the scan, seen in base at the one before, as it was expected.
 
-    along_m, across_m, turn_rad: standard deviations of that.
+    along_m, across_m, turn_rad: standard deviations of that. residual_m: see `Match`.
     """
 
     match: Match
+    residual_m: float
     moved: Pose
     along_m: float
     across_m: float
@@ -85,8 +86,11 @@ class ScanFollower:
             match = align(x, y, expected, prior, walls, self.sigma_m, self._cut_m, 4)
             self.twist = twist_of(compose(inverse(pose), match.pose), passed_s)
         self.stamp_ns = scan.stamp_ns
-        self._learn_sigma(match)
-        return Followed(match, moved, along, across, turned)
+        residual_m = match.residual_m
+        if math.isfinite(residual_m):
+            sigma = self.sigma_m + 0.1 * (1.3 * residual_m - self.sigma_m)
+            self.sigma_m = min(max(sigma, SIGMA_MIN_M), SIGMA_MAX_M)
+        return Followed(match, residual_m, moved, along, across, turned)
 
     def _expected(self, told: Pose, passed_s: float, measured: bool) -> Pose:
         """Base now, seen in base at the last scan. What is told knows no side slip: that is half as it was."""
@@ -99,9 +103,3 @@ class ScanFollower:
         turn = wz * passed_s
         cos, sin = math.cos(0.5 * turn), math.sin(0.5 * turn)
         return passed_s * (vx * cos - vy * sin), passed_s * (vx * sin + vy * cos), turn
-
-    def _learn_sigma(self, match: Match) -> None:
-        spread = match.residual_m
-        if math.isfinite(spread):
-            sigma = self.sigma_m + 0.1 * (1.3 * spread - self.sigma_m)
-            self.sigma_m = min(max(sigma, SIGMA_MIN_M), SIGMA_MAX_M)

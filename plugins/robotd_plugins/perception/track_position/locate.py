@@ -26,10 +26,12 @@ from robotd_plugins.toolkit.scan_motion import Beams, CarMotion
 _CUT_M: Final = 0.4
 _LOST_SHARE: Final = 0.5
 _LOST_SCANS: Final = 4
+_LOST: Final = 5
+"""Scans that fit hardly count as so many that fit badly."""
 _LONG_S: Final = 0.5
 _CHUNK: Final = 80
 """Places that are tried with one scan when the whole lap is searched."""
-_NEAR_M, _NEAR_SHARE = 2.0, 0.05
+_NEAR_M, _NEAR_SHARE = 2.0, 0.15
 _FIRST_TRIES: Final = 20
 _DENSE: Final = 361
 _SIDE_BY_SIDE: Final = 3
@@ -86,11 +88,11 @@ class Locator:
         self.pose = followed.match.pose
         reason = self._why_not(scan, followed)
         share = followed.match.explained_share
-        self._bad = self._bad + 1 if share < _LOST_SHARE else 0
-        if self._bad >= _LOST_SCANS:
+        self._bad = 0 if share >= self.config.explained_share_min else self._bad + (_LOST if share < _LOST_SHARE else 1)
+        if self._bad >= _LOST * _LOST_SCANS:
             self._lose()
             self._tries = _FIRST_TRIES
-        return self._said(scan, followed.match.pose, followed.match.residual_m, share, reason)
+        return self._said(scan, followed.match.pose, followed.residual_m, share, reason)
 
     # ------------------------------------------------------------------------------------ is it true?
 
@@ -116,8 +118,8 @@ class Locator:
         share = match.explained_share
         if share < config.explained_share_min:
             return f"only {100.0 * share:.0f} % of the returns lie on walls"
-        if not match.residual_m <= config.residual_max_m:
-            return f"returns lie {match.residual_m:.2f} m off the walls"
+        if not followed.residual_m <= config.residual_max_m:
+            return f"returns lie {followed.residual_m:.2f} m off the walls"
         along, across, turn = match.moved
         limit_m, limit_rad = config.surprise_m, config.surprise_rad
         if abs(along) > limit_m + 4.0 * followed.along_m or abs(across) > limit_m + 4.0 * followed.across_m:
@@ -168,7 +170,7 @@ class Locator:
             self._tries += 1
             since = motion.between(track.at_ns, scan.stamp_ns)
             about = compose(track.at, since)
-            which = seeker.near(about, _NEAR_M + _NEAR_SHARE * math.hypot(since[0], since[1]) + 0.5)
+            which = seeker.near(about, _NEAR_M + _NEAR_SHARE * math.hypot(since[0], since[1]))
             return self._take_best(scan, x, y, which, seeker.misfit_m(x, y, which), sigma_m, 0, motion)
         if self._held is None:
             self._held, self._chunk, self._searched = (x, y, scan.stamp_ns), 0, []

@@ -42,6 +42,8 @@ class Seeker:
 
     def misfit_m(self, x_m: Float64s, y_m: Float64s, which: np.ndarray[tuple[int], np.dtype[np.intp]]) -> Float64s:
         """Mean distance of some of the returns (n,) to walls, at most half a metre each, for places (k,)."""
+        if not len(x_m):
+            return np.full(len(which), _CUT_M)
         every = max(1, len(x_m) // _BEAMS)
         x, y = x_m[::every], y_m[::every]
         px, py, yaw = self.places[which].T[:, :, None]

@@ -16,7 +16,7 @@ _KNOWN_M: Final = 3.5
 
 
 class FieldWalls:
-    """See `Walls`. Between cells linear, from the slope at the nearest one."""
+    """See `Walls`. Between cells linear, from the slope at the nearest one; metres away where nothing is known."""
 
     def __init__(self, track: RaceTrack) -> None:
         self._flat = track.distance_m.reshape(-1)
@@ -32,8 +32,7 @@ class FieldWalls:
         here, right, left, up, down = self._flat.take(at + self._around, mode="clip")
         slope_u, slope_v = 0.5 * (right - left), 0.5 * (up - down)
         distance = here + slope_u * (u - column - 0.5) + slope_v * (v - row - 0.5)
-        known = np.where(np.abs(here) < _KNOWN_M, distance, math.inf)
-        return known, slope_u * self._per_m, slope_v * self._per_m
+        return distance, slope_u * self._per_m, slope_v * self._per_m
 
     def at(self, x_m: Float64s, y_m: Float64s) -> Float64s:
         """The signed distance of the nearest cell, of points of any shape; -inf where nothing is known."""

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robotd.world.messages import Float64s
+from robotd_plugins.toolkit.scan_match import FAR_M
 
 BINS: Final = 720
 _STEP_RAD: Final = math.tau / BINS
@@ -48,7 +49,7 @@ class KeyFrame:
         distance = nx * dx + ny * dy
         # a point far along the wall from the return of its bearing belongs to something else
         tangent = ny * dx - nx * dy
-        return np.where(np.abs(tangent) + spread < _TANGENT_M, distance, math.inf), nx, ny
+        return np.where(np.abs(tangent) + spread < _TANGENT_M, distance, FAR_M), nx, ny
 
 
 def key_frame(x_m: Float64s, y_m: Float64s, lidar_x_m: float, lidar_y_m: float) -> KeyFrame:
