@@ -127,9 +127,12 @@ class PtyHost:
             time.sleep(_STEP_S)
 
     def _turn(self) -> None:
-        now_ns = time.monotonic_ns()
+        heard = b""
         with contextlib.suppress(BlockingIOError):  # nobody wrote anything
-            self.fake.feed(os.read(self._master, 4096), now_ns)
+            heard = os.read(self._master, 4096)
+        now_ns = time.monotonic_ns()  # behind the read: nothing is heard before it was written
+        if heard:
+            self.fake.feed(heard, now_ns)
         # in small steps of the fake's own time, so that this thread's pauses do not show on the line
         while self._ticked_ns + _TICK_NS <= now_ns:
             self._ticked_ns += _TICK_NS
