@@ -40,6 +40,17 @@ class ToldMotion:
 
     def between(self, then_ns: int, now_ns: int) -> tuple[float, float, float]:
         """Base at `now_ns` seen in base at `then_ns`; zeros where nothing was told."""
+        pose = (0.0, 0.0, 0.0)
+        for v, w, passed_s in reversed(self._pieces(then_ns, now_ns)):
+            pose = advance(*pose, Drive(v, w), passed_s)
+        return pose
+
+    def way_m(self, then_ns: int, now_ns: int) -> float:
+        """How far base has gone, forwards positive."""
+        return sum(v * passed_s for v, _, passed_s in self._pieces(then_ns, now_ns))
+
+    def _pieces(self, then_ns: int, now_ns: int) -> list[tuple[float, float, float]]:
+        """Speed, yaw rate and for how long, the newest first; before the first that was told it went as then."""
         pieces = []
         until_ns = now_ns
         for at_ns, v, w in reversed(self._told):
@@ -52,10 +63,7 @@ class ToldMotion:
         if self._told and until_ns > then_ns:
             _, v, w = self._told[0]
             pieces.append((v, w, (until_ns - then_ns) / NS_PER_S))
-        pose = (0.0, 0.0, 0.0)
-        for v, w, passed_s in reversed(pieces):
-            pose = advance(*pose, Drive(v, w), passed_s)
-        return pose
+        return pieces
 
 
 class CarMotion:
@@ -81,7 +89,15 @@ class CarMotion:
 
     def between(self, then_ns: int, now_ns: int) -> tuple[float, float, float]:
         """Base at `now_ns` seen in base at `then_ns`; zeros where nothing is known."""
-        return (self._wheels if self.is_measured else self._commands).between(then_ns, now_ns)
+        return self._known.between(then_ns, now_ns)
+
+    def way_m(self, then_ns: int, now_ns: int) -> float:
+        """How far base has gone, forwards positive."""
+        return self._known.way_m(then_ns, now_ns)
+
+    @property
+    def _known(self) -> ToldMotion:
+        return self._wheels if self.is_measured else self._commands
 
 
 def drive_of(command: Command, wheelbase_m: float) -> Drive:

@@ -24,6 +24,8 @@ class TrackPositionConfig(Config):
     """A scan may lie this and four standard deviations from where the car was expected."""
     surprise_rad: float = Field(default=0.02, gt=0.0, le=1.0)
     """The same of its heading."""
+    lie_share: float = Field(default=0.08, gt=0.0, le=1.0)
+    """Odometry that tells more or less way than the walls by this share, scan after scan, is not believed."""
     stands_m: float = Field(default=0.20, gt=0.0, le=2.0)
     """Returns side by side that stand so far into the free track are something new: not sure."""
     prove_m: float = Field(default=2.0, ge=0.0, le=50.0)

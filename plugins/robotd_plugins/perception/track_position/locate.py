@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robotd.world.clock import NS_PER_S
 from robotd.world.geometry import compose
@@ -39,6 +40,9 @@ _STANDS_SHARE: Final = 0.02
 """A heading that is a degree out moves a return by this share of its range."""
 _STANDS_RANGE_M: Final = 8.0
 _CALM_SCANS: Final = 3
+_LATELY: Final = 0.2
+"""Share of a new scan in the running means."""
+_LIE_M: Final = 0.003
 
 
 @dataclass(slots=True)
@@ -59,6 +63,8 @@ class Locator:
     _held: tuple[Float64s, Float64s, int] | None = None
     _proven_m: float = 0.0
     _along_var: float = 0.0
+    _way_m: float = 0.0
+    _off_m: float = 0.0
     _bad: int = 0
     _calm: int = 0
 
@@ -86,7 +92,7 @@ class Locator:
             return self._seek(scan, motion)
         followed = self._follower.follow(scan, motion, self.pose, self._walls)
         self.pose = followed.match.pose
-        reason = self._why_not(scan, followed)
+        reason = self._why_not(scan, followed, motion.is_measured)
         share = followed.match.explained_share
         self._bad = 0 if share >= self.config.explained_share_min else self._bad + (_LOST if share < _LOST_SHARE else 1)
         if self._bad >= _LOST * _LOST_SCANS:
@@ -96,12 +102,14 @@ class Locator:
 
     # ------------------------------------------------------------------------------------ is it true?
 
-    def _why_not(self, scan: LidarScan, followed: Followed) -> str:
+    def _why_not(self, scan: LidarScan, followed: Followed, measured: bool) -> str:
         """Empty where the place may be driven by."""
         config, match = self.config, followed.match
         self._along_var += followed.along_m**2
         self._along_var = 1.0 / (1.0 / self._along_var + float(match.information[0, 0]))
         self._proven_m += math.hypot(followed.moved[0], followed.moved[1])
+        self._way_m += _LATELY * (followed.moved[0] - self._way_m)
+        self._off_m += _LATELY * (match.moved[0] - self._off_m) if measured else 0.0
         why = self._why_not_this(scan, followed)
         # what was surprised once is not believed again at once
         self._calm = 0 if why else self._calm + 1
@@ -126,6 +134,8 @@ class Locator:
             return f"not where it was expected: {along:+.2f} m along, {across:+.2f} m across"
         if abs(turn) > limit_rad + 4.0 * followed.turn_rad:
             return f"turned {turn:+.2f} rad farther than expected"
+        if abs(self._off_m) > config.lie_share * abs(self._way_m) + _LIE_M:
+            return f"odometry tells {self._way_m:.3f} m for {self._way_m + self._off_m:.3f} m of way, scan by scan"
         if self._along_var > config.along_max_m**2:
             return f"the way along is known to {math.sqrt(self._along_var):.2f} m only"
         return self._something_stands(scan, match.pose)
@@ -168,9 +178,8 @@ class Locator:
         x, y = self._follower.points(scan, twist)
         if self._tries < _FIRST_TRIES:
             self._tries += 1
-            since = motion.between(track.at_ns, scan.stamp_ns)
-            about = compose(track.at, since)
-            which = seeker.near(about, _NEAR_M + _NEAR_SHARE * math.hypot(since[0], since[1]))
+            way = motion.way_m(track.at_ns, scan.stamp_ns)
+            which = seeker.beyond(track.at, way, _NEAR_M + _NEAR_SHARE * abs(way))
             return self._take_best(scan, x, y, which, seeker.misfit_m(x, y, which), sigma_m, 0, motion)
         if self._held is None:
             self._held, self._chunk, self._searched = (x, y, scan.stamp_ns), 0, []
@@ -190,7 +199,7 @@ class Locator:
         scan: LidarScan,
         x: Float64s,
         y: Float64s,
-        which: np.ndarray[tuple[int], np.dtype[np.intp]],
+        which: NDArray[np.intp],
         misfit: Float64s,
         sigma_m: float,
         seen_ns: int,
@@ -203,7 +212,7 @@ class Locator:
             return self._said(scan, (0.0, 0.0, 0.0), math.nan, 0.0, "does not know where it is")
         since = motion.between(seen_ns, scan.stamp_ns) if seen_ns else (0.0, 0.0, 0.0)
         self.pose = compose(match.pose, since)
-        self._proven_m, self._along_var = 0.0, 0.3**2
+        self._proven_m, self._along_var, self._way_m, self._off_m = 0.0, 0.3**2, 0.0, 0.0
         return self._said(scan, self.pose, match.residual_m, match.explained_share, "found, not yet proven")
 
     def _said(self, scan: LidarScan, pose: Pose, residual_m: float, share: float, reason: str) -> Located:

@@ -9,6 +9,7 @@ import math
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robotd.world.messages import Float64s
 from robotd_plugins.perception.track_position.walls import FieldWalls
@@ -34,13 +35,15 @@ class Seeker:
         at = np.arange(0.0, way[-1], _STEP_M)
         self.places: Float64s = np.stack([np.interp(at, way, ring[:, k]) for k in range(3)], axis=1)
 
-    def near(self, pose: Pose, reach_m: float) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
-        """Indices of the places within `reach_m` of a pose that look the same way."""
+    def beyond(self, pose: Pose, way_m: float, reach_m: float) -> NDArray[np.intp]:
+        """Indices of the places that are `way_m` along the lap from a pose, give or take `reach_m`."""
         x, y, yaw = self.places.T
-        turned = np.abs(np.remainder(yaw - pose[2] + math.pi, math.tau) - math.pi)
-        return np.flatnonzero((np.hypot(x - pose[0], y - pose[1]) < reach_m) & (turned < 0.9))
+        turned = np.remainder(yaw - pose[2] + math.pi, math.tau) - math.pi
+        nearest = int((np.hypot(x - pose[0], y - pose[1]) + np.abs(turned)).argmin())
+        steps = min(round(reach_m / _STEP_M), (len(x) - 1) // 2)
+        return (nearest + round(way_m / _STEP_M) + np.arange(-steps, steps + 1)) % len(x)
 
-    def misfit_m(self, x_m: Float64s, y_m: Float64s, which: np.ndarray[tuple[int], np.dtype[np.intp]]) -> Float64s:
+    def misfit_m(self, x_m: Float64s, y_m: Float64s, which: NDArray[np.intp]) -> Float64s:
         """Mean distance of some of the returns (n,) to walls, at most half a metre each, for places (k,)."""
         if not len(x_m):
             return np.full(len(which), _CUT_M)
@@ -56,7 +59,7 @@ class Seeker:
         self,
         x_m: Float64s,
         y_m: Float64s,
-        which: np.ndarray[tuple[int], np.dtype[np.intp]],
+        which: NDArray[np.intp],
         misfit_m: Float64s,
         sigma_m: float,
     ) -> Match | None:
