@@ -33,26 +33,10 @@ def _read(fd: int, gone: type[Exception], size: int) -> bytes:
     return data
 
 
-class _Relay(asyncio.Protocol):
-    """Passes what the transport says to the port, until the port lets go."""
-
-    def __init__(self, port: PySerialPort) -> None:
-        self.port: PySerialPort | None = port
-
-    def data_received(self, data: bytes) -> None:
-        if self.port is not None:
-            self.port.received(data)
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        if self.port is not None:
-            self.port.transport_lost(exc)
-
-
-class PySerialPort(SerialBase):
-    """A `SerialPort` over pyserial-asyncio's transport."""
+class PySerialPort(SerialBase, asyncio.Protocol):
+    """A `SerialPort` over pyserial-asyncio's transport, whose protocol it is until it lets go."""
 
     _transport: Any = None
-    _relay: _Relay | None = None
 
     async def open(self) -> None:
         import serial
@@ -75,22 +59,21 @@ class PySerialPort(SerialBase):
         line = await off_loop(blocking, lambda late: late.close())
         line.read = partial(_read, line.fileno(), serial.SerialException)
         self._loop = asyncio.get_running_loop()
-        self._relay = _Relay(self)
-        self._transport = serial_asyncio.SerialTransport(self._loop, self._relay, line)
+        self._transport = serial_asyncio.SerialTransport(self._loop, self, line)
         self._fd = line.fileno()
 
-    def received(self, data: bytes) -> None:
+    def data_received(self, data: bytes) -> None:
         """Bytes from the transport, inside the loop's reader callback."""
-        self._on_data(data if len(data) < READ_BYTES else self._with_rest(data))
+        if self._transport is not None:
+            self._on_data(data if len(data) < READ_BYTES else self._with_rest(data))
 
-    def transport_lost(self, error: Exception | None) -> None:
+    def connection_lost(self, exc: Exception | None) -> None:
         """The transport's report; the descriptor is still open and is closed by the transport after this call."""
-        self._transport = None
-        self._lose(f"{self.settings.path} went away ({error or 'closed'})")
+        if self._transport is not None:
+            self._transport = None
+            self._lose(f"{self.settings.path} went away ({exc or 'closed'})")
 
     def _let_go(self) -> None:
-        if self._relay is not None:
-            self._relay.port = None
         transport, self._transport = self._transport, None
         if transport is None:
             return

@@ -55,6 +55,7 @@ class KeptDevice:
         self._gone: asyncio.Future[DeviceError] | None = None
         context = DeviceContext(part.name, clock, robot, self, world)
         self.device: Device[Any] = part.cls(part.config, context)
+        self._base: Any = self.device if isinstance(self.device, Actuator) else None
 
     def connect(self, core: Core, fail: Callable[[BaseException], None]) -> None:
         """From now on messages go into `core`; what breaks the turn itself goes to `fail`."""
@@ -110,26 +111,23 @@ class KeptDevice:
     def apply(self, command: Any) -> None:
         """The turn's write. A base that is not open takes nothing."""
         if self.state == "open":
-            assert isinstance(self.device, Actuator)
             if not self.may_write():
-                self.device.halt()
+                self._base.halt()
                 return
             try:
-                self.device.apply(command)
+                self._base.apply(command)
             except (DeviceError, OSError) as error:
                 self.lost(error if isinstance(error, DeviceError) else DeviceError(f"{self.name}: {error}"))
 
     def halt(self) -> None:
         """The turn's stop."""
         if self.state in ("open", "opening"):
-            assert isinstance(self.device, Actuator)
-            self.device.halt()
+            self._base.halt()
 
     def estop(self) -> None:
         """The turn's answer to an e-stop."""
         if self.state in ("open", "opening"):
-            assert isinstance(self.device, Actuator)
-            self.device.estop()
+            self._base.estop()
 
     async def keep(self, needed: bool, give_up_s: float, sleep: Callable[[float], Any] = asyncio.sleep) -> None:
         """Open, wait for the loss, close, and again; raises Unavailable or DeviceMisconfigured, both only at start."""

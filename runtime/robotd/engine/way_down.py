@@ -59,7 +59,7 @@ class WayDown:
         self._wheelbase_m = kinematics.wheelbase_m if isinstance(kinematics, Ackermann) else None
         self._driving = True  # so that the first turn writes a stop
         self._written_ns = now_ns
-        self._settled: tuple[str, Command, int] | None = None
+        self._settled: tuple[int, Command, str] | None = None
         self._ticks_halted = 0
 
     @property
@@ -91,7 +91,7 @@ class WayDown:
             scans += slot.sequence  # grows with each scan of any source
             if slot.message is None or now_ns - slot.oldest_ns > self._scan_within_ns:
                 stale = stale or slot.topic.name
-        settled = (winner.by, winner.command, scans)
+        settled = (scans, winner.command, winner.by)
         if settled == self._settled and not stale:
             if tick:  # nothing changed: the heartbeat repeats what was decided
                 self._base.apply(self.command)

@@ -58,6 +58,8 @@ def arbitrate(proposals: Sequence[Proposal], manual: Proposal | None, mode: Mode
     repeated to people while nothing may drive.
     """
     if mode is _AUTO:
+        if len(proposals) == 1 and now_ns <= proposals[0].fresh_until_ns:
+            return Verdict(proposals[0])
         return _by_priority(proposals, now_ns)
     losers = tuple(Loser(p.by, Loss.NOT_ALLOWED, mode.value) for p in proposals)
     if mode is not Mode.MANUAL:
@@ -72,8 +74,6 @@ def _by_priority(proposals: Sequence[Proposal], now_ns: int) -> Verdict:
     for proposal in proposals:
         if now_ns <= proposal.fresh_until_ns and (winner is None or proposal.priority > winner.priority):
             winner = proposal
-    if winner is not None and len(proposals) == 1:
-        return Verdict(winner)
     if winner is None:
         if not proposals:
             return Verdict(None, (), _NOBODY)

@@ -152,7 +152,11 @@ class Guard:
             drive, steering = self._steered(drive, command.steering_rad)
             if steering != command.steering_rad:
                 limited += ("steering",)
-        ranged = self._in_range(drive, steering)
+        limits = self.robot.limits
+        if steering is None:
+            ranged = saturate(drive, limits.vx_mps, limits.vy_mps, limits.wz_radps)
+        else:  # a car's turning is limited by its wheels
+            ranged = saturate(drive, limits.vx_mps, math.inf, math.inf)
         if ranged is not drive:
             limited += ("range",)
         ramped = self._ramp(ranged, self._as_drive(previous) or STOP, dt_s)
@@ -179,13 +183,6 @@ class Guard:
             steering_rad = math.copysign(most, steering_rad)
         return steer_to_drive(Steer(drive.vx_mps, steering_rad), kinematics.wheelbase_m), steering_rad
 
-    def _in_range(self, drive: Drive, steering_rad: float | None) -> Drive:
-        """`drive` itself, or slower in the same direction; a car's turning is limited by its wheels."""
-        limits = self.robot.limits
-        if steering_rad is None:
-            return saturate(drive, limits.vx_mps, limits.vy_mps, limits.wz_radps)
-        return saturate(drive, limits.vx_mps, math.inf, math.inf)
-
     def _as_drive(self, command: Command) -> Drive | None:
         """The command as a body velocity, or None where a number in it is not finite."""
         if isinstance(command, Drive):
@@ -199,7 +196,7 @@ class Guard:
 
     def _ramp(self, wanted: Drive, previous: Drive, dt_s: float) -> Drive:
         """`wanted`, approached no faster than the accelerations allow; a plain stop is never delayed."""
-        if wanted == STOP:
+        if not (wanted.vx_mps or wanted.vy_mps or wanted.wz_radps):
             return wanted
         dx, dy = wanted.vx_mps - previous.vx_mps, wanted.vy_mps - previous.vy_mps
         dw = wanted.wz_radps - previous.wz_radps
