@@ -2,7 +2,8 @@
 
 Three robots do the same in turn, a few milliseconds apart: the whole runtime with guard and guardian, a bare reader
 callback in the same event loop (`devices_serial_robot.py`), and a C program (`devices_serial_robot.c`). This process is
-the world at the other end of all six lines.
+the world at the other end of all six lines, and keeps to a core of its own where there are two: nothing at the other
+end of a real line runs on the robot's core and takes its caches. All robots share the rest, so are woken alike.
 """
 
 from __future__ import annotations
@@ -76,7 +77,22 @@ def why_no_c() -> str:
 
 
 @contextlib.contextmanager
-def _program(command: Sequence[str]) -> Iterator[None]:
+def _world_apart() -> Iterator[set[int]]:
+    """This process on one core; gives the cores for the robots, all the others. Where there is one, all share it."""
+    if not hasattr(os, "sched_getaffinity"):
+        yield set()
+        return
+    cores = os.sched_getaffinity(0)
+    ours = {min(cores)}
+    os.sched_setaffinity(0, ours)
+    try:
+        yield cores - ours or cores
+    finally:
+        os.sched_setaffinity(0, cores)
+
+
+@contextlib.contextmanager
+def _program(command: Sequence[str], cores: set[int]) -> Iterator[None]:
     """A robot in a process of its own, from its `ready` on."""
     process = subprocess.Popen(
         command,
@@ -85,6 +101,8 @@ def _program(command: Sequence[str]) -> Iterator[None]:
         env=os.environ | {"PYTHONPATH": str(Path(__file__).resolve().parents[1])},
     )
     assert process.stdin is not None and process.stdout is not None
+    if cores:
+        os.sched_setaffinity(process.pid, cores)  # of the one thread that it has so early; its threads inherit it
     try:
         if not select.select([process.stdout], [], [], START_WITHIN_S)[0] or process.stdout.readline() != b"ready\n":
             raise RuntimeError(f"{command[0]} does not begin")
@@ -106,9 +124,10 @@ def _block(backend: Backend, c_robot: Path | None, rounds: int, rng: random.Rand
         for each in lines.values():
             stack.callback(each.close)
         paths = [*lines["runtime"].paths, *lines["bare"].paths]
-        stack.enter_context(_program([sys.executable, "-m", "benches.devices_serial_robot", backend, *paths]))
+        cores = stack.enter_context(_world_apart())
+        stack.enter_context(_program([sys.executable, "-m", "benches.devices_serial_robot", backend, *paths], cores))
         if c_robot is not None:
-            stack.enter_context(_program([str(c_robot), *lines["c"].paths]))
+            stack.enter_context(_program([str(c_robot), *lines["c"].paths], cores))
         order = [name for name in lines if name != "c" or c_robot is not None]
         trips: dict[str, list[int]] = {name: [] for name in order}
         for turn in range(WARM_UP + rounds):
