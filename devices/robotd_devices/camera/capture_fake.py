@@ -18,8 +18,8 @@ _SIZE = (24, 32, 3)
 class CaptureFake(Breakable):
     """What stands for `cv2.VideoCapture`, and, called, for what opens it: `Camera(..., open_capture=fake)`.
 
-    Each picture is noise around its number (0 to 255), as a sensor's is, unless `is_plain`. After `take()` returns, the
-    grabber has handed the picture over and waits for the next one.
+    Each picture is noise around a level, as a sensor's is; `odd` is given once in place of the next one. After `take()`
+    returns, the grabber has handed the picture over and waits for the next one.
     """
 
     breaks: ClassVar[Mapping[str, str]] = MappingProxyType(
@@ -37,6 +37,9 @@ class CaptureFake(Breakable):
         """Pictures so far."""
         self.driver_ms = 0.0
         """The driver's stamp, as OpenCV gives it."""
+        self.odd: Any = None
+        self.decodes = True
+        """Whether pictures can be decoded."""
         self.is_torn = self.is_frozen = self.hangs = False
         self._last: Any = None
         self._answers = 0
@@ -75,13 +78,16 @@ class CaptureFake(Breakable):
     def retrieve(self) -> tuple[bool, Any]:
         """The picture that was grabbed."""
         self.sent += 1
+        if self.odd is not None:
+            odd, self.odd = self.odd, None
+            return True, odd
         if not self.is_frozen or self._last is None:
             noise = np.random.default_rng(self.sent).integers(-6, 7, _SIZE)
             self._last = np.clip(noise + 60 + self.sent % 128, 0, 255).astype(np.uint8)
         picture = self._last.copy()
         if self.is_torn:
             picture[_SIZE[0] // 2 :] = 128  # what a JPEG decoder fills in for data that are missing
-        return True, picture
+        return self.decodes, picture
 
     def get(self, propId: int, /) -> float:
         """The driver's stamp."""

@@ -17,76 +17,9 @@ from robotd.testing import FakeLink, ManualClock, check_sensor, connected
 from robotd.world.clock import Clock
 from robotd.world.messages import CameraFrame
 from robotd_devices.camera import Camera, CameraConfig
+from robotd_devices.camera.capture_fake import CaptureFake
 
 PERIOD_NS = 50_000_000
-
-
-class FakeCapture:
-    """What stands for `cv2.VideoCapture`: pictures come when the test sends them; the number is in the pixels.
-
-    After `take()` returns, the grabber has handed the picture over and waits for the next one.
-    """
-
-    def __init__(self) -> None:
-        self.released = 0
-        self.opened = 0
-        self.driver_ms = 0.0
-        self.odd: Any = None
-        self.decodes = True
-        self._number = 0
-        self._answers: list[bool] = []
-        self._come = threading.Condition()
-        self._waiting = False
-        self._gone = False
-
-    def __call__(self) -> FakeCapture:
-        self.opened += 1
-        return self
-
-    def grab(self) -> bool:
-        with self._come:
-            self._waiting = True
-            self._come.notify_all()
-            self._come.wait_for(lambda: bool(self._answers) or self._gone)
-            self._waiting = False
-            return self._answers.pop(0) if self._answers else False
-
-    def retrieve(self) -> tuple[bool, Any]:
-        self._number += 1
-        if self.odd is not None:
-            odd, self.odd = self.odd, None
-            return True, odd
-        return self.decodes, np.full((24, 32, 3), self._number, np.uint8)
-
-    def get(self, propId: int, /) -> float:
-        return self.driver_ms
-
-    def release(self) -> None:
-        self.released += 1
-
-    def send(self) -> None:
-        """A picture is there."""
-        with self._come:
-            self._come.wait_for(lambda: self._waiting or self._gone, 5.0)
-            self._answers.append(True)
-            self._waiting = False
-            self._come.notify_all()
-
-    def unplug(self) -> None:
-        """Reads fail from now on, also one that waits."""
-        with self._come:
-            self._gone = True
-            self._come.notify_all()
-
-    def plug(self) -> None:
-        with self._come:
-            self._gone = False
-
-    def take(self) -> None:
-        """`send`, and wait until the grabber is through with it. Blocks the loop, as a slow program does."""
-        self.send()
-        with self._come:
-            assert self._come.wait_for(lambda: self._waiting, 5.0)
 
 
 async def until(done: Callable[[], object], within_s: float = 5.0) -> None:
@@ -103,29 +36,8 @@ def camera(capture: Callable[[], Any], clock: Clock | None = None, **config: Any
     return connected(make, CameraConfig(**config), name="camera", clock=clock)
 
 
-async def test_ten_times_too_slow_a_program_sees_the_newest_picture_and_no_queue() -> None:
-    capture, clock = FakeCapture(), ManualClock()
-    device, link = camera(capture, clock, rate_hz=20.0)
-    await device.open()
-    for turn in range(1, 6):
-        for _ in range(10):  # the loop is busy for ten periods
-            clock.set_ns(clock.now_ns() + PERIOD_NS)
-            capture.take()
-        clock.set_ns(clock.now_ns() + PERIOD_NS // 2)
-        await link.received(turn)
-        frame = link.of(CameraFrame)[-1]
-        # half a period since the newest arrived, and half a one that the stamp is before the arrival
-        assert clock.now_ns() - frame.stamp_ns <= 1.5 * PERIOD_NS
-        assert frame.sequence == turn * 10
-        assert frame.bgr[0, 0, 0] == turn * 10
-        clock.set_ns(clock.now_ns() + PERIOD_NS // 2)
-    assert len(link.messages) == 5
-    capture.unplug()
-    await device.close()
-
-
 async def test_every_picture_of_a_fast_program() -> None:
-    capture = FakeCapture()
+    capture = CaptureFake()
     device, link = camera(capture)
     await device.open()
     for count in range(1, 8):
@@ -135,7 +47,7 @@ async def test_every_picture_of_a_fast_program() -> None:
     assert [frame.sequence for frame in frames] == list(range(1, 8))
     assert {frame.source for frame in frames} == {"/dev/video0"}
     assert not frames[0].bgr.flags.writeable
-    capture.unplug()
+    capture.inject("camera out")
     await device.close()
     assert capture.released == 1
 
@@ -154,7 +66,7 @@ async def test_every_picture_of_a_fast_program() -> None:
     ],
 )
 async def test_stamps(config: dict[str, Any], driver_ns: int | None, stamp_ns: int) -> None:
-    capture, clock = FakeCapture(), ManualClock(10_000_000_000)
+    capture, clock = CaptureFake(), ManualClock(10_000_000_000)
     if driver_ns is not None:
         capture.driver_ms = driver_ns / 1e6
     device, link = camera(capture, clock, rate_hz=20.0, **config)
@@ -162,17 +74,17 @@ async def test_stamps(config: dict[str, Any], driver_ns: int | None, stamp_ns: i
     capture.send()
     await link.received(1)
     assert link.messages[0].stamp_ns == stamp_ns
-    capture.unplug()
+    capture.inject("camera out")
     await device.close()
 
 
 async def test_unplugged_and_plugged_in_again() -> None:
-    capture = FakeCapture()
+    capture = CaptureFake()
     device, link = camera(capture)
     await device.open()
     capture.send()
     await link.received(1)
-    capture.unplug()
+    capture.inject("camera out")
     await link.until(lambda link: bool(link.losses))
     assert isinstance(link.losses[0], DeviceLost)
     assert str(link.losses[0]) == (
@@ -180,20 +92,20 @@ async def test_unplugged_and_plugged_in_again() -> None:
     )
     await device.close()
     assert capture.released == 1
-    capture.plug()
+    capture.mend("camera out")
     await device.open()
     capture.send()
     await link.received(2)
-    capture.unplug()
+    capture.inject("camera out")
     await device.close()
     assert (capture.opened, capture.released, len(link.losses)) == (2, 2, 1)
 
 
 async def test_silent_camera_is_lost_and_closing_does_not_wait_for_a_read_that_hangs() -> None:
-    captures: list[FakeCapture] = []
+    captures: list[CaptureFake] = []
 
-    def new() -> FakeCapture:
-        captures.append(FakeCapture())
+    def new() -> CaptureFake:
+        captures.append(CaptureFake())
         return captures[-1]()
 
     device, link = camera(new, silent_s=0.2)
@@ -215,8 +127,8 @@ async def test_silent_camera_is_lost_and_closing_does_not_wait_for_a_read_that_h
     captures[-1].send()
     await link.received(1)
     assert len(link.messages) == 1
-    captures[-1].unplug()
-    captures[1].unplug()
+    captures[-1].inject("camera out")
+    captures[1].inject("camera out")
     await device.close()
 
 
@@ -227,8 +139,8 @@ async def test_silent_camera_is_lost_and_closing_does_not_wait_for_a_read_that_h
         (lambda c: setattr(c, "decodes", False), "it could not be decoded"),
     ],
 )
-async def test_bad_picture_is_dropped_and_counted(spoil: Callable[[FakeCapture], None], words: str) -> None:
-    capture = FakeCapture()
+async def test_bad_picture_is_dropped_and_counted(spoil: Callable[[CaptureFake], None], words: str) -> None:
+    capture = CaptureFake()
     device, link = camera(capture)
     await device.open()
     spoil(capture)
@@ -239,12 +151,12 @@ async def test_bad_picture_is_dropped_and_counted(spoil: Callable[[FakeCapture],
     assert [name for name, _ in link.faults] == ["picture dropped"]
     assert words in link.faults[0][1]
     assert link.of(CameraFrame)[0].sequence == 2
-    capture.unplug()
+    capture.inject("camera out")
     await device.close()
 
 
 async def test_a_camera_that_repeats_itself_is_lost_and_no_old_picture_looks_new() -> None:
-    capture, clock = FakeCapture(), ManualClock(10**10)
+    capture, clock = CaptureFake(), ManualClock(10**10)
     device, link = camera(capture, clock, frozen_s=1.0)
     await device.open()
     still = np.random.default_rng(0).integers(0, 256, (24, 32, 3)).astype(np.uint8)
@@ -263,7 +175,7 @@ async def test_a_camera_that_repeats_itself_is_lost_and_no_old_picture_looks_new
 
 
 async def test_torn_pictures_are_left_out_and_the_numbers_show_it() -> None:
-    capture = FakeCapture()
+    capture = CaptureFake()
     device, link = camera(capture)
     await device.open()
     torn = np.random.default_rng(0).integers(0, 256, (24, 32, 3)).astype(np.uint8)
@@ -274,24 +186,24 @@ async def test_torn_pictures_are_left_out_and_the_numbers_show_it() -> None:
     await link.received(1)
     assert [name for name, _ in link.faults] == ["torn picture"]
     assert link.of(CameraFrame)[0].sequence == 2
-    capture.unplug()
+    capture.inject("camera out")
     await device.close()
 
 
 async def test_grey_live_pictures_become_three_channels() -> None:
-    capture = FakeCapture()
+    capture = CaptureFake()
     device, link = camera(capture, rotate_deg=90, width_px=18)
     await device.open()
     capture.odd = np.full((24, 32), 7, np.uint8)
     capture.send()
     await link.received(1)
     assert link.of(CameraFrame)[0].bgr.shape == (24, 18, 3)
-    capture.unplug()
+    capture.inject("camera out")
     await device.close()
 
 
 async def test_keeps_the_contract_of_sensors() -> None:
-    capture = FakeCapture()
+    capture = CaptureFake()
     stop = threading.Event()
 
     def feed() -> None:
@@ -304,7 +216,7 @@ async def test_keeps_the_contract_of_sensors() -> None:
     await check_sensor(device, messages=5)
     assert link.losses == []
     stop.set()
-    capture.unplug()
+    capture.inject("camera out")
     feeder.join(6.0)
     assert not feeder.is_alive()
 
@@ -328,9 +240,9 @@ async def test_opening_fails_with_words(error: Exception, words: str) -> None:
 
 
 async def test_cancelled_opening_releases_the_capture_when_it_comes() -> None:
-    capture, go = FakeCapture(), threading.Event()
+    capture, go = CaptureFake(), threading.Event()
 
-    def slow() -> FakeCapture:
+    def slow() -> CaptureFake:
         go.wait(5.0)
         return capture()
 

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from memory_line import MemoryLine
 from pydantic import ValidationError
 
 from robotd.authoring.device import DeviceLost, DeviceMisconfigured, DeviceUnavailable
@@ -26,9 +25,9 @@ from robotd_devices.ports.pty_host import PtyHost
 
 def device(
     monkeypatch: pytest.MonkeyPatch, fake: RplidarFake, **config: object
-) -> tuple[Rplidar, FakeLink, MemoryLine]:
+) -> tuple[Rplidar, FakeLink, MemoryHost]:
     """A driver on a line in memory, not yet opened."""
-    line = MemoryLine(fake, fake.model.baud)
+    line = MemoryHost(fake, fake.model.baud)
     monkeypatch.setattr(rplidar, "serial_port", line.port)
     lidar, link = connected(Rplidar, RplidarConfig.model_validate({"port": "/dev/lidar"} | config))
     return lidar, link, line
@@ -60,7 +59,7 @@ def test_each_model_is_found_turned_and_read(monkeypatch: pytest.MonkeyPatch, mo
         assert lidar.scanning.motor == fake.model.motor
         best = fake.model.modes[fake.model.typical].answer if model != "a1-old" else 0x82
         assert lidar.scanning.mode.answer == best
-        assert line.opened[-1].baud == fake.model.baud
+        assert line.opened[-1][1].baud == fake.model.baud
         await link.received(4)
         assert link.faults == []
         for scan, arrived_ns in zip(link.of(LidarScan), link.arrived_ns, strict=True):
@@ -71,7 +70,7 @@ def test_each_model_is_found_turned_and_read(monkeypatch: pytest.MonkeyPatch, mo
         assert fake.turning == (fake.model.motor == "none")
         opened = len(line.opened)
         await lidar.open()  # the speed that worked is tried first
-        assert [s.baud for s in line.opened[opened:]] == [fake.model.baud]
+        assert [s.baud for _, s in line.opened[opened:]] == [fake.model.baud]
         await lidar.close()
         assert line.ports == []
 
@@ -256,14 +255,14 @@ def test_unplugged_and_plugged_in_again(monkeypatch: pytest.MonkeyPatch) -> None
         await lidar.open()
         await link.received(2)
         for turn in range(20):
-            line.unplug()
-            assert len(link.losses) == turn + 1
+            line.inject("cable out")
+            await link.until(lambda link, turn=turn: len(link.losses) == turn + 1, 0.05)  # type: ignore[misc]
             assert isinstance(link.losses[-1], DeviceLost)
             await lidar.close()
             with pytest.raises(DeviceUnavailable, match="no serial port"):
                 await lidar.open()
             await lidar.close()
-            line.plug()
+            line.mend("cable out")
             back_s, count = now_s(), len(link.messages)
             await lidar.open()
             await link.received(count + 1)
@@ -281,7 +280,7 @@ def test_unplugged_while_opening(monkeypatch: pytest.MonkeyPatch, after_s: float
 
     @virtual_time
     async def story() -> None:
-        asyncio.get_running_loop().call_later(after_s, line.unplug)
+        asyncio.get_running_loop().call_later(after_s, line.inject, "cable out")
         try:
             await lidar.open()
         except (DeviceLost, DeviceUnavailable):

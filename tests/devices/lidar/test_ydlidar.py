@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from memory_line import MemoryLine
 from pydantic import ValidationError
 
 from robotd.authoring.device import DeviceLost, DeviceUnavailable
@@ -24,14 +23,15 @@ from robotd_devices.lidar.ydlidar_models import MODELS
 from robotd_devices.lidar.ydlidar_packets import YdParser, encode
 from robotd_devices.lidar.ydlidar_sweep import YdSweep
 from robotd_devices.lidar.ydlidar_talk import SCAN, STOP
+from robotd_devices.ports.memory_host import MemoryHost
 from robotd_devices.ports.pty_host import PtyHost
 
 
 def device(
     monkeypatch: pytest.MonkeyPatch, fake: YdlidarFake, **config: object
-) -> tuple[Ydlidar, FakeLink, MemoryLine]:
+) -> tuple[Ydlidar, FakeLink, MemoryHost]:
     """A driver on a line in memory, not yet opened."""
-    line = MemoryLine(fake, fake.model.baud)
+    line = MemoryHost(fake, fake.model.baud)
     monkeypatch.setattr(ydlidar, "serial_port", line.port)
     given = {"port": "/dev/lidar", "model": fake.model.name} | config
     lidar, link = connected(Ydlidar, YdlidarConfig.model_validate(given))
@@ -196,13 +196,13 @@ def test_unplugged_and_plugged_in_again(monkeypatch: pytest.MonkeyPatch) -> None
         await lidar.open()
         await link.received(2)
         for turn in range(20):
-            line.unplug()
-            assert len(link.losses) == turn + 1
+            line.inject("cable out")
+            await link.until(lambda link, turn=turn: len(link.losses) == turn + 1, 0.05)  # type: ignore[misc]
             await lidar.close()
             with pytest.raises(DeviceUnavailable, match="no serial port"):
                 await lidar.open()
             await lidar.close()
-            line.plug()
+            line.mend("cable out")
             back_s, count = asyncio.get_running_loop().time(), len(link.messages)
             await lidar.open()
             await link.received(count + 1)
