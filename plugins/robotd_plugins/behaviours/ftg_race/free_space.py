@@ -23,6 +23,9 @@ BEARINGS: Final = 2 * HALF + 1
 _LEVELS: Final = 10
 _ALMOST: Final = 0.95
 """Of the distance to a return that is nearer than R: what is taken for R there, so that a way out remains."""
+_ALONG_M: Final = 0.3
+_WIDENS: Final = 0.25
+"""A car inside its margin may go on along what is near for so far; then the margin comes back by so much a metre."""
 _NEIGHBOURS: Final = 100.0
 """Bins; what is farther apart in bearing is no hidden strip between neighbours but a field of view's end."""
 _PER_RAD: Final = 1.0 / STEP_RAD
@@ -43,17 +46,21 @@ class FreeSpace:
         reach_m: float,
         most_m: float,
         bin_rad: float = 0.0,
+        near_m: float | None = None,
     ) -> Float64s:
         """How far the middle of the car may go on each bearing, float64 (BEARINGS,), from right to left.
 
         x_m, y_m: (n,) in the frame of the car's middle, in order of bearing as the lidar sees them; what is no hit is
         the end of what is seen there. reach_m: R. Behind an edge that hides something nothing is free; a return stands
-        for its bin, `bin_rad` wide.
+        for its bin, `bin_rad` wide. near_m: what is beside a car inside its margin is so near; no more is asked of
+        returns within reach then, and R is asked again of those farther on: a way out of the margin, not a full stop.
         """
         r = np.hypot(x_m, y_m)
         at = np.arctan2(y_m, x_m)
         at *= _PER_RAD
         reach = np.minimum(reach_m, _ALMOST * r) * is_hit
+        if near_m is not None:
+            np.minimum(reach, near_m + _WIDENS * np.maximum(r - near_m - _ALONG_M, 0.0), out=reach)
         half = np.arcsin(reach / np.maximum(r, 1e-6))
         half *= _PER_RAD
         value = np.minimum(r - reach, most_m)

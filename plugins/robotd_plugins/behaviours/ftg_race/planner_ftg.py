@@ -37,6 +37,7 @@ _SLOW_MPS = 1.0
 _HAIR_M = 0.005
 _LEAST_MARGIN_M = 0.015
 _CREEP_MPS = 0.6
+_DEEP, _DEEP_MPS = 0.6, 1.5
 _NEAR_M = 0.03
 """Clearance of the real outline on the way that is steered."""
 
@@ -81,13 +82,16 @@ class PlannerFTG:
         x, y = self.points(scan)
         is_hit = scan.state != FREE
         half = self._body.half_width_m
-        profile = self._space.profile(x, y, is_hit, half + config.safety_margin_m, config.reach_m, scan.step_rad)
+        margin = config.safety_margin_m
+        side = _least(np.abs(y)[np.abs(x) < self._beside_m]) - half - _HAIR_M
+        near = half + max(side, _LEAST_MARGIN_M) if side < margin else None
+        profile = self._space.profile(x, y, is_hit, half + margin, config.reach_m, scan.step_rad, near)
         free = self._fan.free_m(profile)
         longest = float(free.max())
-        most = config.v_max_mps
-        side = _least(np.abs(y)[np.abs(x) < self._beside_m]) - half - _HAIR_M
-        if longest <= config.stop_distance_m and side < config.safety_margin_m and v < _SLOW_MPS:
-            # inside the margin no way is free: a slow car gives it up as far as it must, a fast one brakes
+        # deep inside its margin the car does not speed up
+        most = config.v_max_mps if side > _DEEP * margin else min(config.v_max_mps, max(v, _DEEP_MPS))
+        if longest <= config.stop_distance_m and side < margin and v < _SLOW_MPS:
+            # no way out of the margin is free: a slow car gives it up as far as it must, a fast one brakes
             profile = self._space.profile(
                 x, y, is_hit, half + max(side, _LEAST_MARGIN_M), config.reach_m, scan.step_rad
             )

@@ -8,6 +8,7 @@ von Hundelshausen et al., Driving with Tentacles, J. Field Robotics 2008. The ti
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -20,6 +21,7 @@ from robotd_plugins.behaviours.ftg_race.free_space import BEARINGS, HALF, STEP_R
 _BACK_RAD: Final = 3.3
 """A path that has turned so far meets itself: it ends there."""
 _LEAST_MPS: Final = 0.05
+_MOST_GAIN_S: Final = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +63,9 @@ class Fan:
         self._radius_m = np.where(np.maximum.accumulate(ends, axis=1), np.inf, np.hypot(x, y))
         self._index = np.clip(index, 0, BEARINGS - 1)
         self._way_m = np.concatenate(([0.0], way, [reach_m]))
-        self._x_m, self._y_m = x, y
+        self._x_m, self._y_m, self._turned_rad = x, y, turned
+        # point by point, for `gained_s`
+        self._xs_m, self._ys_m = np.ascontiguousarray(x.T), np.ascontiguousarray(y.T)
         self._blocked = np.ones((len(k1), len(way) + 1), dtype=np.bool_)
         self.k1_pm: Float64s = k1
         self.k2_pm: Float64s = k2
@@ -98,7 +102,7 @@ class Fan:
     def times_s(
         self, free_m: Float64s, speed_mps: float, limits: RaceLimits, over_m: float, short_m: float
     ) -> tuple[Float64s, Float64s]:
-        """Time that each path takes for its first `over_m`, and the square of the speed at which it may be entered.
+        """Time of each path's first `over_m`, less its gain on the quickest; square of the speed to enter it with.
 
         short_m: the car must be able to stop so far before the end of what is free. Speeds are held by friction in
         both bends, by braking towards the second, and by braking towards the end; one that is over must brake at once.
@@ -122,7 +126,23 @@ class Fan:
         r2 = np.sqrt(v2) + _LEAST_MPS
         time = first / (np.sqrt(v1) + r2) + then / (r2 + np.sqrt(v3))
         time *= 2.0
+        time -= self._gained_s(time, v3, free_m, over_m)
         return time, u1
+
+    def _gained_s(self, time_s: Float64s, then2: Float64s, free_m: Float64s, over_m: float) -> Float64s:
+        """What a path is ahead of the quickest one after `over_m`, measured the way that one heads there, in seconds.
+
+        All have come equally far along themselves, but not along the track: the inner one is farther round the bend.
+        """
+        at = min(int(self._way_m[1:-1].searchsorted(over_m)), len(self._xs_m) - 1)
+        quickest = int(time_s.argmin())
+        heading = float(self._turned_rad[quickest, at])
+        along = math.cos(heading) * self._xs_m[at] + math.sin(heading) * self._ys_m[at]
+        along -= along[quickest]
+        along *= 1.0 / max(math.sqrt(float(then2[quickest])), 1.0)
+        np.minimum(np.maximum(along, -_MOST_GAIN_S, out=along), _MOST_GAIN_S, out=along)
+        along *= free_m > over_m
+        return along
 
 
 def _two_bends(k1: Float64s, s1: Float64s, k2: Float64s, s: Float64s) -> tuple[Float64s, Float64s, Float64s]:
