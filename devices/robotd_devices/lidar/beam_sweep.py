@@ -151,11 +151,12 @@ class BeamSweep:
         clockwise[clockwise >= _HALF_TURN_DEG] -= _TURN_DEG
         angles = (self._sign * np.radians(clockwise)).astype(np.float32)
         ranges = np.concatenate([run.metres for run in runs])
-        lost, empty = np.isnan(ranges), ranges == 0.0
-        self.lost_share = float(lost.mean())
-        self.empty_share = float(empty.sum() / max(1, n - lost.sum()))
+        empty = ranges == 0.0
+        lost_count, empty_count = int(np.count_nonzero(np.isnan(ranges))), int(np.count_nonzero(empty))
+        self.lost_share = lost_count / n
+        self.empty_share = empty_count / max(1, n - lost_count)
         ranges[empty | (ranges > self._range_max_m)] = np.inf
-        if not self._trust_empty and bool((lost | empty).all()):
+        if not self._trust_empty and lost_count + empty_count == n:
             ranges[:] = np.nan
         intensities = None
         if any(run.quality is not None for run in runs):

@@ -83,10 +83,6 @@ def decode_capsule(form: CapsuleFormat, capsule: bytes) -> Capsule:
     """One capsule by itself. Raises ValueError for a wrong length, marks or checksum."""
     if len(capsule) != form.size or not is_sound(capsule):
         raise ValueError(f"no sound {form.name} capsule of {form.size} bytes: {capsule[:4].hex(' ')}...")
-    return _fields(form, capsule)
-
-
-def _fields(form: CapsuleFormat, capsule: bytes) -> Capsule:
     low, high = capsule[form.angle_at], capsule[form.angle_at + 1]
     return Capsule(low | (high & 0x7F) << 8, capsule[form.data_at :], first=bool(high & _FIRST))
 
@@ -140,8 +136,8 @@ class CapsuleParser:
                 self._disturbed("bad checksum")
                 at += 1
                 continue
-            capsule = _fields(form, whole)
-            start = capsule.start_q6
+            high = whole[form.angle_at + 1]
+            start, first = whole[form.angle_at] | (high & 0x7F) << 8, high & _FIRST != 0
             if start >= TURN_Q6:
                 self._disturbed("impossible angle")
                 at += 1
@@ -157,9 +153,9 @@ class CapsuleParser:
                 self._step_q6 = 0
                 at += 1
                 continue
-            chained = at == self._next_at and self._last_q6 >= 0 and not capsule.first
+            chained = at == self._next_at and self._last_q6 >= 0 and not first
             arrival_ns = self._arrivals.of(end - at - size, size, self._period_ns)
-            found.append(capsule._replace(arrival_ns=arrival_ns, chained=chained))
+            found.append(Capsule(start, whole[form.data_at :], arrival_ns, chained, first))
             self.packets += 1
             self._synced = True
             self._last_q6, self._step_q6 = start, gap

@@ -43,19 +43,21 @@ class RplidarReader:
         return self._parser.trouble == "not turning" or self._parser.packets - self._packets_then > self._turn_nodes
 
     def feed(self, data: bytes, now_ns: int) -> Iterator[LidarScan]:
-        """Take bytes that were read at `now_ns`; the scans that they complete, one by one."""
-        for scan in self._scans(data, now_ns):
-            self._packets_then, self._parser.trouble = self._parser.packets, ""
-            yield scan
+        """Take bytes that were read at `now_ns`; the scans that they complete, one by one.
 
-    def _scans(self, data: bytes, now_ns: int) -> Iterator[LidarScan]:
+        Between two of them the sweep's shares are those of the one just given.
+        """
         parser = self._parser
         if isinstance(parser, CapsuleParser):
             for capsule in parser.feed(data, now_ns):
-                yield from self._capsules.add(capsule)
+                for scan in self._capsules.add(capsule):
+                    self._packets_then, parser.trouble = parser.packets, ""
+                    yield scan
         else:
             for run in parser.feed(data, now_ns):
-                yield from self._nodes.add(run)
+                for scan in self._nodes.add(run):
+                    self._packets_then, parser.trouble = parser.packets, ""
+                    yield scan
 
     def take_faults(self) -> list[str]:
         """Names of what went wrong since the last call."""

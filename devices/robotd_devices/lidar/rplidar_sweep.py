@@ -40,6 +40,8 @@ class CapsuleSweep:
         self._wire_ns = round(form.size * byte_ns + _DELAY_SAMPLES * sweep.beam_ns)
         self._run: list[Capsule] = []
         self._gap_q6 = 0
+        self._after_deg = 0.0
+        """How far the newest capsule begins behind the seam."""
         self._old = False
         """The capsule before was one that had been there already."""
 
@@ -61,14 +63,13 @@ class CapsuleSweep:
             run.clear()
         self._old = False
         run.append(capsule)
+        before_deg, self._after_deg = self._after_deg, self._sweep.after_seam(capsule.start_q6 / 64.0)
         if len(run) > 1:
-            before = run[-2]
-            self._gap_q6 = (capsule.start_q6 - before.start_q6) % TURN_Q6
-            after = self._sweep.after_seam
-            if after(capsule.start_q6 / 64.0) < after(before.start_q6 / 64.0) - 180.0:
+            self._gap_q6 = (capsule.start_q6 - run[-2].start_q6) % TURN_Q6
+            if self._after_deg < before_deg - 180.0:
                 done.append(self._decode(len(run) - 1, capsule.start_q6, capsule.data))
                 del run[:-1]
-        return [scan for scan in done if scan is not None]
+        return [scan for scan in done if scan is not None] if done else []
 
     def _is_old(self, capsule: Capsule) -> bool:
         """Whether a capsule begins where others have been already: bytes came twice."""

@@ -21,6 +21,7 @@ ANSWER_BYTES = {GET_TIMEOUT: 1, ENCODER_1: 5, ENCODER_2: 5, BATTERY: 2, CURRENTS
 LONGEST = 12
 """Bytes of the longest command of ours."""
 ACKNOWLEDGED = 0xFF
+_ACK = bytes((ACKNOWLEDGED,))
 _VERSION_BYTES = 48
 _LONGEST_REST = 128
 _MOST_LATE = 4
@@ -112,7 +113,7 @@ class RoboClawReader:
         self._rest = b""
         self._late = 0
         self.acknowledged = 0
-        """Commands that were answered while no question was open."""
+        """Commands that were answered, as far as they can be told from the answer to a question."""
         self.faults = 0
         """Runs of bytes that were neither; the reader sets it back."""
 
@@ -137,6 +138,8 @@ class RoboClawReader:
             self.acknowledged += acks
             self._strange(len(data) - acks)
             return None
+        if not data.strip(_ACK):
+            self.acknowledged += len(data)
         self._rest += data
         for at in range(len(self._rest)):
             end = self._end(at)

@@ -349,6 +349,20 @@ async def test_answer_to_a_question_from_before_the_replug_is_passed_over() -> N
 
 
 @virtual_time
+async def test_commands_that_are_acknowledged_are_signs_of_life_though_no_question_is_answered() -> None:
+    fake = LateFake()
+    device, link, _ = motor(RoboClaw, fake, TWO_WHEELS)
+    await device.open()
+    fake.garble = lambda data: data if set(data) == {0xFF} else b""
+    await hold(device, Drive(0.5, 0.0), 1.0)
+    assert link.losses == []
+    device.halt()
+    await asyncio.sleep(0.8)  # here it repeats no stop: nothing is acknowledged
+    assert len(link.losses) == 1
+    await device.close()
+
+
+@virtual_time
 async def test_time_limit_that_was_forgotten_is_written_again() -> None:
     fake = RoboClawFake()
     device, link, _ = motor(RoboClaw, fake, TWO_WHEELS)
