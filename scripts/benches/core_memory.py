@@ -1,4 +1,7 @@
-"""Resident memory of a whole `robotd` process that drives by an LD19 on a pty and motors behind a socket."""
+"""Resident memory of a whole `robotd` process that drives by an LD19 on a pty and motors behind a socket.
+
+Beside it stands the floor: a process that only imports what every robot's config, messages and loop are made of.
+"""
 
 from __future__ import annotations
 
@@ -40,19 +43,45 @@ class Go(Behaviour[NoConfig, Sees]):
         return Drive(0.05)
 """
 _SETTLE_S = 3.0
+_FLOOR = """
+import asyncio
+import sys
+import numpy
+import pydantic
+
+class Settings(pydantic.BaseModel):
+    hz: float = 10.0
+
+async def wait():
+    print("ready", flush=True)
+    await asyncio.get_running_loop().run_in_executor(None, sys.stdin.read)
+
+asyncio.run(wait())
+"""
 
 
 def measure(ctx: Context) -> None:
-    """Without anything else, and with the page."""
-    ctx.figure("rss_lidar_robot_mb", _resident_mb(""))
+    """Without anything else, and with the page; the baseline is the floor."""
+    floor_mb = _floor_mb()
+    ctx.note(f"resident memory of asyncio, numpy and pydantic alone, without a robot: {floor_mb:.1f} MB")
+    ctx.figure("rss_lidar_robot_mb", _resident_mb(""), baseline=floor_mb)
     if entry_points(group="robotd.bridges", name="dashboard"):
-        ctx.figure("rss_with_page_mb", _resident_mb("bridges: {dashboard: {port: 0}}"))
+        ctx.figure("rss_with_page_mb", _resident_mb("bridges: {dashboard: {port: 0}}"), baseline=floor_mb)
     else:
         ctx.figure("rss_with_page_mb", None, why="there is no page yet")
 
 
+def _floor_mb() -> float:
+    """VmRSS of an idle process that has imported asyncio, numpy and pydantic, and made one model."""
+    process = subprocess.Popen([sys.executable, "-c", _FLOOR], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    assert process.stdin is not None and process.stdout is not None
+    with process:
+        process.stdout.readline()
+        return _vm_rss_mb(process.pid)
+
+
 def _resident_mb(bridges: str) -> float:
-    """VmRSS in MB (2^20 bytes, as ps and top count) after the robot has driven for a few seconds."""
+    """VmRSS after the robot has driven for a few seconds."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         _install(folder / "site")
@@ -79,7 +108,12 @@ def _once_driving(process: subprocess.Popen[bytes], bus: FakeI2cBus) -> float:
             raise RuntimeError(f"the robot does not drive: {told.strip() or 'it says nothing'}")
         time.sleep(0.05)
     time.sleep(_SETTLE_S)
-    for line in Path(f"/proc/{process.pid}/status").read_text().splitlines():
+    return _vm_rss_mb(process.pid)
+
+
+def _vm_rss_mb(pid: int) -> float:
+    """Resident memory in MB (2^20 bytes, as ps and top count)."""
+    for line in Path(f"/proc/{pid}/status").read_text().splitlines():
         if line.startswith("VmRSS:"):
             return int(line.split()[1]) / 1024.0
     raise RuntimeError("this system does not tell a process's resident memory")

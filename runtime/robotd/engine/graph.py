@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from difflib import get_close_matches
 from graphlib import CycleError, TopologicalSorter
 from typing import Any
 
@@ -148,8 +147,10 @@ def _field_problems(
     if name not in producers:
         if spec.wake is Wake.LATEST:
             return []
+        import difflib
+
         same_type = [n for n, (_, t) in producers.items() if issubclass(t.type, spec.topic.type)]
-        close = same_type or get_close_matches(name, producers, n=1)
+        close = same_type or difflib.get_close_matches(name, producers, n=1)
         hint = f"there is {close[0]!r}: rename it with `as: {name}`" if close else "add a device or a perceptor for it"
         return [GraphProblem(path, f"needs {name!r} ({spec.topic.type.__name__}), which nothing publishes", hint)]
     source, topic = producers[name]

@@ -10,7 +10,7 @@ from robotd.engine.contracts import Base, Journal
 from robotd.engine.graph import Graph, base_of
 from robotd.engine.parts import Parts
 from robotd.safety.arbiter import Proposal, Verdict, arbitrate
-from robotd.safety.guard import Guard, Guarded, Sensed
+from robotd.safety.guard import Guard, Sensed
 from robotd.safety.operator import OperatorState
 from robotd.world.clock import ns
 from robotd.world.kinematics import Ackermann, steer_to_drive
