@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -86,8 +87,7 @@ class BeamSweep:
     def _begin(self) -> None:
         self._runs: list[Beams] = []
         self._beams = 0
-        self._mark_beams: list[int] = []
-        self._mark_ns: list[int] = []
+        self._marks: list[tuple[int, int]] = []
 
     def add(self, beams: Beams, marks: Sequence[tuple[int, int]], then_deg: float) -> LidarScan | None:
         """Take the next beams (less than a turn of them); the scan that they end, if they do.
@@ -117,7 +117,7 @@ class BeamSweep:
         cut = int(seams[0])
         first = self._beams
         self._extend(_part(beams, slice(0, cut)), marks, first)
-        scan = self._scan() if self._whole and self._mark_ns and self._beams > 1 else None
+        scan = self._scan() if self._whole and self._marks and self._beams > 1 else None
         self._begin()
         self._whole = True
         self._extend(_part(beams, slice(cut, None)), marks, -cut)
@@ -139,8 +139,7 @@ class BeamSweep:
         return self.add(Beams(head, head, np.full(count, np.nan, dtype=np.float32)), (), to_deg)
 
     def _extend(self, beams: Beams, marks: Sequence[tuple[int, int]], first: int) -> None:
-        self._mark_beams += [first + index for index, _ in marks]
-        self._mark_ns += [instant for _, instant in marks]
+        self._marks += [(first + index, at_ns) for index, at_ns in marks]
         if len(beams.head_deg):
             self._runs.append(beams)
             self._beams += len(beams.head_deg)
@@ -148,8 +147,9 @@ class BeamSweep:
     def _scan(self) -> LidarScan:
         n, runs = self._beams, self._runs
         clockwise = np.concatenate([run.beam_deg for run in runs]) % _TURN_DEG
-        clockwise[clockwise >= _HALF_TURN_DEG] -= _TURN_DEG
-        angles = (self._sign * np.radians(clockwise)).astype(np.float32)
+        clockwise -= _TURN_DEG * (clockwise >= _HALF_TURN_DEG)
+        clockwise *= self._sign * math.radians(1.0)
+        angles = clockwise.astype(np.float32)
         ranges = np.concatenate([run.metres for run in runs])
         empty = ranges == 0.0
         lost_count, empty_count = int(np.count_nonzero(np.isnan(ranges))), int(np.count_nonzero(empty))
@@ -163,8 +163,8 @@ class BeamSweep:
             intensities = np.concatenate(
                 [np.zeros(len(run.metres), np.uint8) if run.quality is None else run.quality for run in runs]
             )
-        early_ns = np.array(self._mark_ns) - np.array(self._mark_beams) * self.beam_ns
-        start_ns = max(int(early_ns.min()), self._stamp_ns + 1)
+        early_ns = min([at_ns - beam * self.beam_ns for beam, at_ns in self._marks])
+        start_ns = max(int(early_ns), self._stamp_ns + 1)
         self._stamp_ns = max(start_ns + int((n - 1) * self.beam_ns), start_ns + n)
         mount = self._mount
         return LidarScan(

@@ -127,10 +127,10 @@ class CapsuleParser:
         self._arrivals.read(len(data), now_ns)
         end, at = len(buffer), 0
         found: list[Capsule] = []
-        while True:
-            at = self._header(buffer, at)
-            if end - at < size + ahead:
-                break
+        while end - at >= size + ahead:
+            if buffer[at] & 0xF0 != 0xA0 or buffer[at + 1] & 0xF0 != 0x50:
+                at = self._header(buffer, at)
+                continue
             whole = buffer[at : at + size]
             if not is_sound(whole):
                 self._disturbed("bad checksum")
