@@ -350,7 +350,10 @@ def _directions(coverage: _Coverage, scan: LidarScan, beams: NDArray[np.intp]) -
 
 def _unit_vectors(angles_rad: Float32s, yaw_rad: float) -> Float64s:
     bearing = angles_rad.astype(np.float64) + yaw_rad
-    return np.stack((np.cos(bearing), np.sin(bearing)))
+    vectors = np.empty((2, len(bearing)))
+    np.cos(bearing, out=vectors[0])
+    np.sin(bearing, out=vectors[1])
+    return vectors
 
 
 def _seen(coverage: _Coverage, scan: LidarScan) -> NDArray[np.bool_] | None:
@@ -367,9 +370,10 @@ def _bin(bearing_rad: NDArray[np.floating]) -> NDArray[np.intp]:
 
 def _spread(bins: NDArray[np.intp]) -> NDArray[np.bool_] | None:
     """Bins with a beam and their neighbours; None where that is all of them."""
-    hit = np.zeros(BINS, dtype=np.bool_)
-    hit[bins] = True
-    seen: NDArray[np.bool_] = hit | np.roll(hit, 1) | np.roll(hit, -1)
+    hit = np.zeros(BINS + 2, dtype=np.bool_)  # with the last bin before the first, and the first behind the last
+    hit[bins + 1] = True
+    hit[0], hit[-1] = hit[-2], hit[1]
+    seen: NDArray[np.bool_] = hit[:-2] | hit[1:-1] | hit[2:]
     return None if seen.all() else seen
 
 
