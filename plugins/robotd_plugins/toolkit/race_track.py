@@ -34,7 +34,7 @@ class TrackSurvey(Message):
     points_m: float32 (m, 2), returns of the key frames, each in base of its own key frame; key: int32 (m,), which one.
     closing: pose of base at key frame `closing_key`, seen in base at key frame `closed_key` (one of the first), as the
     two scans match. residual_m, residual_rad: how far odometry alone has missed that.
-    lidar_x_m, lidar_y_m: the lidar in base. number: counts surveys of one run from 1.
+    lidar_x_m, lidar_y_m: the lidar in base. number: counts surveys of one run from 1; attempt: those of one goal.
     """
 
     path: Float64s
@@ -48,6 +48,7 @@ class TrackSurvey(Message):
     lidar_x_m: float = 0.0
     lidar_y_m: float = 0.0
     number: int = 1
+    attempt: int = 1
 
     def __post_init__(self) -> None:
         n = len(self.path)

@@ -12,6 +12,7 @@ from robotd_plugins.behaviours.ftg_race.body import Body
 from robotd_plugins.behaviours.ftg_race.commanding import GRAVITY_MPS2
 from robotd_plugins.behaviours.ftg_race.line import LineLimits, WallField, learned_line
 from robotd_plugins.perception.race_track.config import RaceTrackConfig
+from robotd_plugins.perception.race_track.doubt import contradicted_share
 from robotd_plugins.perception.race_track.field import distance_field
 from robotd_plugins.perception.race_track.register import register, surface
 from robotd_plugins.toolkit.race_track import RaceTrack, TrackSurvey
@@ -24,10 +25,14 @@ def learn(survey: TrackSurvey, config: RaceTrackConfig, body: Body) -> RaceTrack
 
     Raises ValueError with a sentence where the survey makes no map.
     """
-    poses, scatter_m = register(survey)
-    if not scatter_m <= config.scatter_max_m:
-        raise ValueError(f"the surveyed lap does not fit on itself: its returns lie {scatter_m:.2f} m apart")
+    poses = register(survey)
     distance_m, origin_m = distance_field(surface(survey, poses), poses[:, :2], config.resolution_m, config.reach_m)
+    contradicted = contradicted_share(survey, poses, distance_m, config.resolution_m, origin_m)
+    if contradicted > config.contradicted_share_max:
+        raise ValueError(
+            f"the surveyed lap does not fit on itself: {100.0 * contradicted:.0f} % of one key frame's beams would "
+            "have passed through its walls"
+        )
     path = lap_of(poses, survey.closed_key, survey.closing_key)
     line: dict[str, Any]
     try:

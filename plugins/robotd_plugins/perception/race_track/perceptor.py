@@ -12,7 +12,7 @@ from robotd_plugins.perception.race_track.config import RaceTrackConfig
 from robotd_plugins.perception.race_track.learn import learn
 from robotd_plugins.toolkit.race_track import RaceTrack, TrackSurvey
 
-log = logging.getLogger(__name__)
+log = logging.getLogger("robotd.race_track")
 
 
 class Sees(View):
@@ -22,7 +22,7 @@ class Sees(View):
 
 
 class RaceTrackLearner(Perceptor[RaceTrackConfig, Sees, RaceTrack]):
-    """Publishes one track for each survey that makes a map, with a line where one is found."""
+    """Publishes one track for each goal: of the first of its surveys that gives a map and a line."""
 
     offload = True
     sim_latency_s = 3.0
@@ -41,10 +41,12 @@ class RaceTrackLearner(Perceptor[RaceTrackConfig, Sees, RaceTrack]):
         import scipy.spatial  # noqa: F401  # the import is the work
 
     def step(self, seen: Sees) -> RaceTrack | None:
+        if seen.survey.attempt > 1 and self._track is not None and self._track.has_line:
+            return None
         try:
             track = learn(seen.survey, self.config, self._body)
         except ValueError as error:
-            self._why = str(error)
+            self._track, self._why = None, str(error)
             log.warning("no track from survey %d: %s", seen.survey.number, error)
             return None
         self._track, self._why = track, track.reason or f"a line of {track.length_m:.1f} m, {track.lap_s:.2f} s"

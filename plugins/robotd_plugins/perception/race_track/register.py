@@ -29,23 +29,18 @@ Ints = NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surface:
-    """Wall points in `track`, (m, 2), each moved onto the wall that its neighbours make; normals (m, 2) into the track.
-
-    scatter_m: robust spread of the returns about their walls.
-    """
+    """Wall points in `track`, (m, 2), each moved onto the wall of its neighbours; normals (m, 2) towards the track."""
 
     points_m: Float64s
     normals: Float64s
-    scatter_m: float
 
 
-def register(survey: TrackSurvey) -> tuple[Float64s, float]:
-    """Poses (n, 3) of base at the key frames in `track`, and the robust spread of what ties them, in metres."""
+def register(survey: TrackSurvey) -> Float64s:
+    """Poses (n, 3) of base at the key frames in `track`."""
     poses = _closed(survey)
     every = max(1, math.ceil(len(survey.key) / _TIED_MOST))
     points, key = survey.points_m[::every].astype(np.float64), survey.key[::every].astype(np.intp)
     lidar = np.array([survey.lidar_x_m, survey.lidar_y_m])
-    spread_m = math.nan
     steps = _steps(survey.path)
     for at in range(_ROUNDS):
         reach_m = max(0.5 * 0.6**at, 0.12)
@@ -54,11 +49,10 @@ def register(survey: TrackSurvey) -> tuple[Float64s, float]:
         normals, _, neighbours, there = _walls(world, eyes[key], _NEIGHBOURS, min(reach_m, 0.25))
         one, other = _ties(normals, key, neighbours, there & _within(world, neighbours, reach_m))
         rows, e = _tie_rows(points, key, poses, world, normals, one, other)
-        spread_m = 1.4826 * float(np.median(np.abs(e))) if len(e) else math.nan
-        sigma = max(_SIGMA_M, spread_m)
+        sigma = max(_SIGMA_M, 1.4826 * float(np.median(np.abs(e)))) if len(e) else _SIGMA_M
         weight = 1.0 / (1.0 + (e / sigma) ** 2) / sigma**2
         poses = _solved(poses, rows, e, weight, *_step_rows(poses, steps))
-    return poses, spread_m
+    return poses
 
 
 def surface(survey: TrackSurvey, poses: Float64s) -> Surface:
@@ -76,7 +70,7 @@ def surface(survey: TrackSurvey, poses: Float64s) -> Surface:
     normals = np.where((agree < 0.0)[:, None], -normals, normals)
     # a return that stands alone is no wall, and one whose neighbours point to all sides none that can be told
     kept = (there.sum(axis=1) >= 4) & (np.abs(agree) > 0.4)
-    return Surface(flat[kept], normals[kept], 1.4826 * float(np.median(np.abs(off[kept]))))
+    return Surface(flat[kept], normals[kept])
 
 
 def placed(points: Float64s, key: Ints, poses: Float64s) -> Float64s:

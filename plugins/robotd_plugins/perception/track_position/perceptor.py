@@ -16,7 +16,7 @@ from robotd_plugins.perception.track_position.locate import Locator
 from robotd_plugins.toolkit.race_track import Located, RaceTrack
 from robotd_plugins.toolkit.scan_motion import CarMotion
 
-log = logging.getLogger(__name__)
+log = logging.getLogger("robotd.track_position")
 _HZ = 50
 _DRAWN_M = 12.0
 
@@ -52,7 +52,7 @@ class TrackPosition(Perceptor[TrackPositionConfig, Sees, Located]):
         was, self._located = self._located, self._locator.step(seen.scan, self._motion)
         is_sure = self._located is not None and self._located.is_sure
         if self._located is not None and is_sure != (was is not None and was.is_sure):
-            log.info("track_position: %s", "sure" if is_sure else self._located.reason)
+            log.info("%s", "sure" if is_sure else self._located.reason)
         return self._located
 
     def explain(self) -> Explanation:

@@ -32,6 +32,8 @@ class TrackSurveyConfig(Config):
     """The beginning is looked for within this and `drift_share` of the way, about where odometry has it."""
     drift_share: float = Field(default=0.01, ge=0.0, le=0.2)
     """What odometry may have lost, as a share of the way."""
+    attempts: int = Field(default=2, ge=1, le=10)
+    """So many laps of a goal are surveyed, in case that no map could be made of the first."""
     explained_share_min: float = Field(default=0.85, gt=0.0, le=1.0)
     """Two scans show one place where so many of the returns agree."""
     odometry_share: float = Field(default=0.03, gt=0.0, le=1.0)

@@ -29,7 +29,7 @@ class Sees(View, hz=_HZ):
 
 
 class TrackSurveyor(Perceptor[TrackSurveyConfig, Sees, TrackSurvey]):
-    """Surveys the first lap of each goal, publishes it once, and rests."""
+    """Surveys the first laps of each goal, publishes each once, and rests."""
 
     def __init__(self, config: TrackSurveyConfig, robot: Robot | None = None) -> None:
         super().__init__(config, robot)
@@ -37,23 +37,23 @@ class TrackSurveyor(Perceptor[TrackSurveyConfig, Sees, TrackSurvey]):
         wheelbase_m = kinematics.wheelbase_m if isinstance(kinematics, Ackermann) else math.inf
         self._survey = Survey(config)
         self._motion = CarMotion(wheelbase_m, config.command_lag_s)
-        self._rests = False
         self._stamp_ns: int | None = None
         self._goal_ns: int | None = None
 
     def step(self, seen: Sees) -> TrackSurvey | None:
         goal_ns = seen.goal.stamp_ns if seen.goal is not None else None
         if goal_ns != self._goal_ns:
-            self._goal_ns, self._rests = goal_ns, False
+            self._goal_ns, self._survey.attempt = goal_ns, 0
             self._survey.begin("a new goal")
-        if self._rests:
+        if self._survey.attempt >= self.config.attempts:
             return None
         self._motion.hear(seen.now_ns, seen.odometry, seen.applied.command if seen.applied is not None else None)
         if seen.scan.stamp_ns == self._stamp_ns:
             return None
         self._stamp_ns = seen.scan.stamp_ns
         found = self._survey.step(seen.scan, self._motion)
-        self._rests = found is not None
+        if found is not None:
+            self._survey.begin("rests" if found.attempt == self.config.attempts else "once more")
         return found
 
     def explain(self) -> Explanation:

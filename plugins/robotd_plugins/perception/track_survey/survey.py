@@ -63,6 +63,8 @@ class Survey:
     _queue: deque[tuple[int, int, Pose]] = field(default_factory=deque)
     _best: Closing | None = None
     _look_from_m: float | None = None
+    attempt: int = 0
+    """How many surveys were given out since the caller set it to 0."""
     _number: int = 0
     _farthest_m: float = 0.0
 
@@ -164,6 +166,7 @@ class Survey:
         closing, keys = self.closing, self.keys
         assert closing is not None
         self._number += 1
+        self.attempt += 1
         counts = [len(points) for points in self.points]
         return TrackSurvey(
             scan.stamp_ns,
@@ -178,4 +181,5 @@ class Survey:
             scan.x_m,
             scan.y_m,
             self._number,
+            self.attempt,
         )
