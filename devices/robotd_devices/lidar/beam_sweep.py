@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 
 from robotd.world.messages import Float32s, Float64s, LidarScan
 from robotd.world.robot import Mount
+from robotd_devices.lidar.scan_maker import ScanMaker
 
 _HALF_TURN_DEG = 180.0
 _TURN_DEG = 360.0
@@ -33,19 +33,12 @@ class Beams(NamedTuple):
     quality: NDArray[np.uint8] | None = None
 
 
-class BeamSweep:
+class BeamSweep(ScanMaker):
     """Collects beams and gives a scan with those that end a revolution.
 
     A revolution begins and ends where the head passes the device angle `seam_deg`; with 180 (the default) that is
-    behind the lidar. Beams stay in the order in which they were measured, and are measured `beam_ns` apart: beam i at
-    start_ns + (stamp_ns - start_ns) * i / (n - 1), so `LidarScan.beam_ns` is None.
-
-    Ranges: metres; no return is `inf`, as is more than `range_max_m`; lost beams are there with `nan`; a value below
-    `range_min_m` stays as it is (touching). A revolution without one return (covered, blinded, behind glass) says
-    nothing about free space: all `nan`, unless `trust_empty`.
-
-    Times: the device measures evenly and its bytes are only ever late, so each scan is laid under the earliest of its
-    marks (beam, when it was measured by its arrival). No scan begins before `after_ns`, the end of the last one.
+    behind the lidar. Beams stay in the order in which they were measured, and are measured `beam_ns` apart. Ranges and
+    times are those of every `ScanMaker`.
     """
 
     def __init__(
@@ -60,19 +53,17 @@ class BeamSweep:
         mount: Mount | None = None,
         after_ns: int = 0,
     ) -> None:
+        super().__init__(
+            range_min_m=range_min_m,
+            range_max_m=range_max_m,
+            inverted=inverted,
+            trust_empty=trust_empty,
+            mount=mount,
+            after_ns=after_ns,
+        )
         self.beam_ns = beam_ns
-        self._range_min_m = range_min_m
-        self._range_max_m = range_max_m
-        self._sign = 1.0 if inverted else -1.0
         self._seam_deg = seam_deg
-        self._trust_empty = trust_empty
-        self._mount = mount if mount is not None else Mount()
-        self._stamp_ns = after_ns
         self.reset()
-
-    #: Share of the last scan's beams that had no return, and that were lost.
-    empty_share = 0.0
-    lost_share = 0.0
 
     def after_seam(self, head_deg: float) -> float:
         """How far the head is behind the seam, degrees in [0, 360)."""
@@ -139,46 +130,21 @@ class BeamSweep:
         return self.add(Beams(head, head, np.full(count, np.nan, dtype=np.float32)), (), to_deg)
 
     def _extend(self, beams: Beams, marks: Sequence[tuple[int, int]], first: int) -> None:
-        self._marks += [(first + index, at_ns) for index, at_ns in marks]
+        self._marks += [(first + index, instant) for index, instant in marks]
         if len(beams.head_deg):
             self._runs.append(beams)
             self._beams += len(beams.head_deg)
 
     def _scan(self) -> LidarScan:
-        n, runs = self._beams, self._runs
-        clockwise = np.concatenate([run.beam_deg for run in runs]) % _TURN_DEG
-        clockwise -= _TURN_DEG * (clockwise >= _HALF_TURN_DEG)
-        clockwise *= self._sign * math.radians(1.0)
-        angles = clockwise.astype(np.float32)
-        ranges = np.concatenate([run.metres for run in runs])
-        empty = ranges == 0.0
-        lost_count, empty_count = int(np.count_nonzero(np.isnan(ranges))), int(np.count_nonzero(empty))
-        self.lost_share = lost_count / n
-        self.empty_share = empty_count / max(1, n - lost_count)
-        ranges[empty | (ranges > self._range_max_m)] = np.inf
-        if not self._trust_empty and lost_count + empty_count == n:
-            ranges[:] = np.nan
+        runs = self._runs
         intensities = None
         if any(run.quality is not None for run in runs):
             intensities = np.concatenate(
                 [np.zeros(len(run.metres), np.uint8) if run.quality is None else run.quality for run in runs]
             )
-        early_ns = min([at_ns - beam * self.beam_ns for beam, at_ns in self._marks])
-        start_ns = max(int(early_ns), self._stamp_ns + 1)
-        self._stamp_ns = max(start_ns + int((n - 1) * self.beam_ns), start_ns + n)
-        mount = self._mount
-        return LidarScan(
-            self._stamp_ns,
-            ranges,
-            angles,
-            start_ns=start_ns,
-            range_min_m=self._range_min_m,
-            range_max_m=self._range_max_m,
-            x_m=mount.x_m,
-            y_m=mount.y_m,
-            yaw_rad=mount.yaw_rad,
-            intensities=intensities,
-        )
+        beam_deg = np.concatenate([run.beam_deg for run in runs])
+        ranges = np.concatenate([run.metres for run in runs])
+        return self.make(beam_deg, ranges, intensities, self._marks, self.beam_ns)
 
 
 def _part(beams: Beams, part: slice) -> Beams:

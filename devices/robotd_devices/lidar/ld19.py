@@ -10,11 +10,10 @@ from pydantic import Field, model_validator
 from robotd.authoring.config import Config
 from robotd.authoring.device import DeviceContext, Sensor
 from robotd.world.messages import LidarScan
+from robotd_devices.lidar.delivery import deliver
 from robotd_devices.lidar.ld_packets import LdParser
 from robotd_devices.lidar.ld_sweep import LdSweep
 from robotd_devices.ports.serial_port import Backend, SerialPort, SerialSettings, load_backend, serial_port
-
-_OFF_SPEED = 0.3
 
 
 class Ld19Config(Config):
@@ -113,26 +112,12 @@ class Ld19(Sensor[Ld19Config, LidarScan]):
         for packet in parser.feed(data, now_ns):
             scan = sweep.add(packet)
             if scan is not None:
-                self._deliver(scan, now_ns)
+                deliver(self, scan, sweep, self.config.rotation_hz, now_ns)
         if parser.faults:
             faults = parser.faults[:]
             parser.faults.clear()
             for name in faults:
                 self.context.link.fault(name)
-
-    def _deliver(self, scan: LidarScan, now_ns: int) -> None:
-        fault, sweep = self.context.link.fault, self._sweep
-        turn_s = (scan.stamp_ns - scan.start_ns) / 1e9
-        if sweep.lost_share > 0.0:
-            fault("lost packets", f"{sweep.lost_share:.0%} of a scan not measured")
-        if sweep.empty_share == 1.0:
-            fault("no return anywhere", "covered, blinded or in the open")
-        if abs(1.0 / turn_s - self.config.rotation_hz) > _OFF_SPEED * self.config.rotation_hz:
-            fault("rotation off", f"{1.0 / turn_s:.1f} Hz, the config says {self.config.rotation_hz:g}")
-        if now_ns - scan.stamp_ns > 1e9 * turn_s:
-            fault("old scan dropped", f"{(now_ns - scan.stamp_ns) / 1e9:.3f} s old: the program stalled")
-            return
-        self.publish(scan)
 
     def _listen(self) -> None:
         """Once every `silent_s`: were there good packets since the last time?"""

@@ -9,27 +9,22 @@ import numpy as np
 from robotd.world.messages import LidarScan
 from robotd.world.robot import Mount
 from robotd_devices.lidar.ld_packets import PACKET_BYTES, POINTS, TURN_CDEG, LdPacket
+from robotd_devices.lidar.scan_maker import ScanMaker
 
 _POINT = np.dtype([("mm", "<u2"), ("intensity", "u1")])
 _STEPS = POINTS - 1
 _HALF_TURN = TURN_CDEG // 2
-_CDEG_RAD = math.tau / TURN_CDEG
 
 
-class LdSweep:
+class LdSweep(ScanMaker):
     """Collects packets and gives a scan at the packet that ends a revolution.
 
     A revolution begins and ends at the device angle `seam_deg`; with 180 (the default) that is behind the lidar, the
     bearings of one scan run from +pi to -pi without a jump, and what lies ahead was seen in one go. Beams stay in the
-    order in which they were measured, so bearings fall (clockwise lidar) or, upside down, rise; time rises evenly:
-    beam i was measured at start_ns + (stamp_ns - start_ns) * i / (n - 1), so `beam_ns` is None.
+    order in which they were measured, so bearings fall (clockwise lidar) or, upside down, rise. Ranges and times are
+    those of every `ScanMaker`; beams of lost packets are there with `nan`.
 
-    Ranges: metres; 0 mm from the device (no return) is `inf`, as is more than `range_max_m`; beams of lost packets are
-    there with `nan`; a value below `range_min_m` stays as it is (touching). A revolution without one return (covered,
-    blinded, behind glass) says nothing about free space: all `nan`, unless `trust_empty`.
-
-    Times: the packet's arrival less its 47 bytes on the wire is when its last point was measured. The device counts
-    evenly and arrivals are only ever late, so each scan is laid under the earliest of its arrivals.
+    The packet's arrival less its 47 bytes on the wire is when its last point was measured.
     """
 
     def __init__(
@@ -43,19 +38,12 @@ class LdSweep:
         trust_empty: bool = False,
         mount: Mount | None = None,
     ) -> None:
+        super().__init__(
+            range_min_m=range_min_m, range_max_m=range_max_m, inverted=inverted, trust_empty=trust_empty, mount=mount
+        )
         self._wire_ns = PACKET_BYTES * byte_ns
-        self._range_min_m = range_min_m
-        self._range_max_m = range_max_m
-        self._sign = 1.0 if inverted else -1.0
         self._seam_cdeg = round(seam_deg * 100) % TURN_CDEG
-        self._trust_empty = trust_empty
-        self._mount = mount if mount is not None else Mount()
-        self._stamp_ns = 0
         self._reset()
-
-    #: Share of the last scan's beams that had no return, and that were lost.
-    empty_share = 0.0
-    lost_share = 0.0
 
     def _reset(self) -> None:
         """Forget the open revolution and wait for the next seam: half a revolution is not published."""
@@ -70,8 +58,7 @@ class LdSweep:
         self._counts: list[int] = []
         self._points: list[bytes] = []
         # one entry a packet: index of its last beam, when that was measured by its arrival
-        self._last_beams: list[int] = []
-        self._measured_ns: list[int] = []
+        self._marks: list[tuple[int, int]] = []
         self._beams = 0
         self._last_at = 0.0
         self._turned_cdeg = 0
@@ -95,8 +82,7 @@ class LdSweep:
         ended = self._append(float(at), step, POINTS, packet.points, packet)
         self._turned_cdeg += packet.span_cdeg
         self._speed_sum += packet.speed_dps
-        self._last_beams.append(self._beams - 1)
-        self._measured_ns.append(packet.arrival_ns - self._wire_ns)
+        self._marks.append((self._beams - 1, packet.arrival_ns - self._wire_ns))
         return done if ended is None else ended
 
     def _append(self, at: float, step: float, beams: int, points: bytes, packet: LdPacket) -> LidarScan | None:
@@ -109,8 +95,7 @@ class LdSweep:
             self._extend(at, step, first, points[: 3 * first])
             if points:
                 # the packet belongs to both revolutions: its last beam lies behind the end of this one
-                self._last_beams.append(self._beams - 1 + beams - first)
-                self._measured_ns.append(packet.arrival_ns - self._wire_ns)
+                self._marks.append((self._beams - 1 + beams - first, packet.arrival_ns - self._wire_ns))
             done = self._finish() or done
             at, beams, points = at + first * step - TURN_CDEG, beams - first, points[3 * first :]
         self._extend(at, step, beams, points)
@@ -139,38 +124,12 @@ class LdSweep:
         turned = np.repeat(np.array(self._starts) - first_beams * steps, counts) + np.arange(n) * np.repeat(
             steps, counts
         )
-        clockwise = (turned + self._seam_cdeg) % TURN_CDEG
-        clockwise[clockwise >= _HALF_TURN] -= TURN_CDEG
-        angles = (self._sign * _CDEG_RAD * clockwise).astype(np.float32)
-
         ranges = np.full(n, np.nan, dtype=np.float32)
         intensities = np.zeros(n, dtype=np.uint8)
         measured = np.repeat([bool(points) for points in self._points], counts)
         points = np.frombuffer(b"".join(self._points), dtype=_POINT)
-        metres = points["mm"] * np.float32(0.001)
-        empty = points["mm"] == 0
-        metres[empty | (metres > self._range_max_m)] = np.inf
-        if self._trust_empty or not empty.all():
-            ranges[measured] = metres
+        ranges[measured] = points["mm"] * np.float32(0.001)
         intensities[measured] = points["intensity"]
-        self.empty_share = float(empty.mean())
-        self.lost_share = 1.0 - len(points) / n
-
         # twelve points a packet at one rate; the mean over a revolution is finer than the device's 1 deg/s
         beam_ns = self._turned_cdeg * 1e7 / (self._speed_sum * _STEPS)
-        start_ns = int(np.min(np.array(self._measured_ns) - np.array(self._last_beams) * beam_ns))
-        start_ns = max(start_ns, self._stamp_ns + 1)
-        self._stamp_ns = max(start_ns + int((n - 1) * beam_ns), start_ns + n)
-        mount = self._mount
-        return LidarScan(
-            self._stamp_ns,
-            ranges,
-            angles,
-            start_ns=start_ns,
-            range_min_m=self._range_min_m,
-            range_max_m=self._range_max_m,
-            x_m=mount.x_m,
-            y_m=mount.y_m,
-            yaw_rad=mount.yaw_rad,
-            intensities=intensities,
-        )
+        return self.make((turned + self._seam_cdeg) * 0.01, ranges, intensities, self._marks, beam_ns)
