@@ -5,12 +5,17 @@ from __future__ import annotations
 import time
 from typing import Any
 
-from benches.race_plant import Driver
+from benches.race_plant import NS, Driver
 from robotd.world.kinematics import Ackermann
-from robotd.world.messages import LidarScan, Odometry, Steer
+from robotd.world.messages import LidarScan, Message, Odometry, Steer
 from robotd.world.robot import Robot
 from robotd_devices.sim.single_track import F1TENTH, TT02D, RaceCar
 from robotd_plugins.behaviours.ftg_race import FtgRace, FtgRaceConfig, Sees
+from robotd_plugins.perception import race_track, track_position, track_survey
+from robotd_plugins.toolkit.race_track import Located, RaceTrack
+
+SOLVE_S = 3.0
+"""The survey is a track and a line so much later, as the perceptor declares for virtual time."""
 
 TT02D_KEYS: dict[str, Any] = {
     "v_max_mps": 5.0,
@@ -32,15 +37,51 @@ def robot_of(car: RaceCar) -> Robot:
     return Robot("car", kinematics, car.footprint_m())
 
 
+class Learning:
+    """The three perceptors of lap 2, called in the runtime's order; what is solved appears `late_s` later."""
+
+    def __init__(self, robot: Robot, late_s: float = SOLVE_S) -> None:
+        self._survey = track_survey.TrackSurveyor(track_survey.TrackSurveyConfig(), robot)
+        self._learn = race_track.RaceTrackLearner(race_track.RaceTrackConfig(), robot)
+        self._position = track_position.TrackPosition(track_position.TrackPositionConfig(), robot)
+        self._late_ns = round(late_s * NS)
+        self._waiting: list[tuple[int, RaceTrack]] = []
+        self.track: RaceTrack | None = None
+        self.located: Located | None = None
+        self.took_us: list[float] = []
+        self.solve_s: list[float] = []
+
+    def step(self, scan: LidarScan, odometry: Odometry, now_ns: int, is_new: bool) -> None:
+        while self._waiting and self._waiting[0][0] <= now_ns:
+            self.track = self._waiting.pop(0)[1]
+        told = {"scan": scan, "odometry": odometry, "applied": None}
+        begin = time.thread_time_ns()
+        survey = self._survey.step(track_survey.Sees.assemble(now_ns, {**told, "goal": None}))
+        located = self._position.step(track_position.Sees.assemble(now_ns, {**told, "track": self.track}))
+        if is_new:
+            self.took_us.append((time.thread_time_ns() - begin) / 1e3)
+        self.located = located or self.located
+        if survey is not None:
+            begin = time.thread_time_ns()
+            track = self._learn.step(race_track.Sees.assemble(now_ns, {"survey": survey}))
+            self.solve_s.append((time.thread_time_ns() - begin) / 1e9)
+            if track is not None:
+                self._waiting.append((now_ns + self._late_ns, track))
+
+
 class Behaving:
-    """A driver made of the behaviour; keeps how long each step took, in microseconds of this thread's CPU."""
+    """A driver made of the behaviour; keeps how long each step took, in microseconds of this thread's CPU.
+
+    learn: with the perceptors of lap 2; without, the car races by follow-the-gap for ever.
+    """
 
     ticks = True
 
-    def __init__(self, car: RaceCar = F1TENTH, **keys: Any) -> None:
+    def __init__(self, car: RaceCar = F1TENTH, learn: bool = False, **keys: Any) -> None:
         if car is TT02D:
             keys = {**TT02D_KEYS, **keys}
         self.behaviour = FtgRace(FtgRaceConfig(**keys), None, robot_of(car))
+        self.learning = Learning(robot_of(car)) if learn else None
         self.took_us: list[float] = []
         self.failed = ""
         self._scan: LidarScan | None = None
@@ -48,7 +89,11 @@ class Behaving:
     def __call__(self, scan: LidarScan, odometry: Odometry, now_ns: int) -> Steer | None:
         is_new = scan is not self._scan
         self._scan = scan
-        seen = Sees.assemble(now_ns, {"scan": scan, "odometry": odometry})
+        learned: dict[str, Message | None] = {"track": None, "located": None}
+        if self.learning is not None:
+            self.learning.step(scan, odometry, now_ns, is_new)
+            learned = {"track": self.learning.track, "located": self.learning.located}
+        seen = Sees.assemble(now_ns, {"scan": scan, "odometry": odometry, **learned})
         begin = time.thread_time_ns()
         result = self.behaviour.step(seen)
         if is_new:

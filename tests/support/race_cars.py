@@ -41,7 +41,8 @@ def mirrored(scan: LidarScan) -> LidarScan:
 def seen(scan: LidarScan, speed_mps: float = 0.0, yaw_rate_radps: float = 0.0, now_ns: int | None = None) -> Sees:
     """A view of one scan at its own stamp."""
     now = scan.stamp_ns if now_ns is None else now_ns
-    return Sees(now_ns=now, scan=scan, odometry=Odometry(now, 0.0, 0.0, 0.0, speed_mps, 0.0, yaw_rate_radps))
+    odometry = Odometry(now, 0.0, 0.0, 0.0, speed_mps, 0.0, yaw_rate_radps)
+    return Sees(now_ns=now, scan=scan, odometry=odometry, track=None, located=None)
 
 
 def settled(scan_at: Any, speed_mps: float = 0.0, robot: Robot = F1TENTH, steps: int = 4, **keys: Any) -> Steer:

@@ -161,7 +161,7 @@ def test_between_slow_scans_the_car_follows_its_own_way() -> None:
         now = (tick + 1) * S // 50
         scan = corridor(stamp_ns=now - now % (S // 10), heading_rad=0.25, ahead_m=5.0)
         odometry = Odometry(now, 0.0, 0.0, 0.0, 4.0, 0.0, 0.3)
-        answers.append(race.step(Sees(now_ns=now, scan=scan, odometry=odometry)))
+        answers.append(race.step(Sees(now_ns=now, scan=scan, odometry=odometry, track=None, located=None)))
     late = [answer.steering_rad for answer in answers[20:25] if isinstance(answer, Steer)]
     assert len(set(late)) == 5
 

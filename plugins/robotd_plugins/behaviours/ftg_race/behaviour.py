@@ -9,6 +9,7 @@ from robotd import Behaviour, Failed, LidarScan, Odometry, Steer, View, every, l
 from robotd.authoring.behaviour import StepResult
 from robotd.authoring.explain import Explanation, Scalar, Text
 from robotd.world.clock import NS_PER_S
+from robotd.world.geometry import compose
 from robotd.world.robot import Robot
 from robotd_plugins.behaviours.ftg_race.body import body_of
 from robotd_plugins.behaviours.ftg_race.commanding import (
@@ -18,12 +19,14 @@ from robotd_plugins.behaviours.ftg_race.commanding import (
     iir_time_constant_s,
 )
 from robotd_plugins.behaviours.ftg_race.config import FtgRaceConfig, RaceGoal
+from robotd_plugins.behaviours.ftg_race.line.lap_two import LapTwo
 from robotd_plugins.behaviours.ftg_race.perception import ScanPreprocessor
 from robotd_plugins.behaviours.ftg_race.planner_baseline import PlannerBaseline
-from robotd_plugins.behaviours.ftg_race.planner_ftg import planner_of
+from robotd_plugins.behaviours.ftg_race.planner_ftg import PlannerFTG, planner_of
 from robotd_plugins.behaviours.ftg_race.planning_types import Command, Motion, Planner, Scan
 from robotd_plugins.behaviours.ftg_race.recovery import Recovery, State
 from robotd_plugins.behaviours.ftg_race.way_since import WaySince
+from robotd_plugins.toolkit.race_track import Located, RaceTrack
 
 _CYCLE_S = 0.1
 """The seed's loop, to which its filter's beta belongs."""
@@ -39,10 +42,12 @@ class Sees(View, hz=_TICKS_HZ):
 
     scan: LidarScan = every(within_s=0.25)
     odometry: Odometry | None = latest(within_s=0.25)
+    track: RaceTrack | None = latest()
+    located: Located | None = latest(within_s=0.25)
 
 
 class FtgRace(Behaviour[FtgRaceConfig, Sees, RaceGoal]):
-    """Races without a map. FAILED where it is stuck for good."""
+    """Races without a map, and from lap 2 on along the line that it has learned. FAILED where it is stuck for good."""
 
     emits = Steer
 
@@ -70,6 +75,11 @@ class FtgRace(Behaviour[FtgRaceConfig, Sees, RaceGoal]):
             PlannerBaseline(config, self._body, self._policy)
             if config.planner == "baseline"
             else planner_of(config, self._body, self._policy, smoother)
+        )
+        self._lap_two = (
+            LapTwo(config, self._body, self._policy, self._planner)
+            if config.learn and isinstance(self._planner, PlannerFTG)
+            else None
         )
         is_seed = config.planner == "baseline" or config.method == "patches"
         self._preprocessor = ScanPreprocessor(
@@ -100,11 +110,21 @@ class FtgRace(Behaviour[FtgRaceConfig, Sees, RaceGoal]):
         else:
             self._scan = replace(self._scan, motion=motion)
         self._planned_ns = seen.now_ns
-        return self._act(self._scan)
+        return self._act(self._scan, self._on_line(self._scan, seen))
 
-    def _act(self, scan: Scan) -> StepResult:
+    def _on_line(self, scan: Scan, seen: Sees) -> Command | None:
+        """What the learned line asks for, if it may."""
+        if self._lap_two is None or self._recovery.state is not State.RACE:
+            return None
+        at = seen.located
+        base_track = None
+        if at is not None:
+            base_track = compose((at.x_m, at.y_m, at.yaw_rad), self._way.since(at.stamp_ns, seen.scan.stamp_ns))
+        return self._lap_two.plan(scan, seen.now_ns, seen.track, at, base_track)
+
+    def _act(self, scan: Scan, on_line: Command | None) -> StepResult:
         motion = scan.motion
-        command = self._recovery.step(scan, self._planner.plan(scan))
+        command = self._recovery.step(scan, self._planner.plan(scan) if on_line is None else on_line)
         if self._recovery.state is State.FAILED:
             return Failed(f"stuck: tried {self.config.retries} times to back off from a wall in one place")
         speed = command.speed_mps
@@ -133,6 +153,7 @@ class FtgRace(Behaviour[FtgRaceConfig, Sees, RaceGoal]):
     def explain(self) -> Explanation:
         return (
             *self._planner.explain(),
+            *(self._lap_two.explain() if self._lap_two is not None else ()),
             Text("state", self._recovery.state.value),
             Scalar("speed told", self._told.speed_mps, "m/s"),
             Scalar("steering told", self._told.steering_rad, "rad"),

@@ -26,6 +26,7 @@ SEED_SAFE: Final[Mapping[str, Any]] = {
     "brake_response_s": 0.0,
     "steer_iir_beta": 0.25,
     "steer_rate_radps": math.radians(50.0),
+    "learn": False,
 }
 """Where the profile `seed_safe` differs from `race`: the seed's section 8."""
 
@@ -129,6 +130,26 @@ class FtgRaceConfig(Config):
     """`free_space`: what a change of curvature by 1/m costs, in seconds."""
     blend_s: float = Field(default=0.05, gt=0.0, le=1.0)
     """`free_space`: neighbouring paths that cost little more than the best have their say."""
+
+    learn: bool = True
+    """From lap 2 on it follows the line that the perceptor `race_track` learned, while `track_position` is sure."""
+    line_lateral_share: float = Field(default=0.80, gt=0.0, le=1.0)
+    """Of the grip is planned with in bends of the learned line; what bounds it is known, so more than else."""
+    line_brake_share: float = Field(default=0.60, gt=0.0, le=1.0)
+    """Of it for braking on the line."""
+    line_accel_share: float = Field(default=0.60, gt=0.0, le=1.0)
+    """Of it for speeding up on the line."""
+    line_grip_share: float = Field(default=0.88, gt=0.0, le=1.0)
+    """Of it for both together: radius of the friction circle on the line."""
+    load_shift_rad: float = Field(default=0.12, ge=0.0, le=1.0)
+    """Speeding up with all the grip in a bend with all the grip the front wheels would be turned farther by this, on
+    the line; less, in proportion to both; braking, turned back."""
+    line_yaw_share: float = Field(default=1.0, ge=0.0, le=2.0)
+    """Of the curvature that the car's yaw rate shows to be missing on the line, so much is steered in addition."""
+    line_bound_m: float = Field(default=0.25, gt=0.0, le=1.0)
+    """Farther off the line the car is driven by follow-the-gap."""
+    line_clear_m: float = Field(default=0.05, ge=0.0, le=0.5)
+    """The way along the line must be free by so much beside the car."""
 
     recover: bool = True
     """When it stands before a wall it drives back and tries again; false: it stands."""

@@ -16,7 +16,7 @@ class RaceTrackConfig(Config):
     """The field ends so far beside the driven way."""
     contradicted_share_max: float = Field(default=0.12, gt=0.0, le=1.0)
     """A map is refused where so many beams of one key frame would have passed through its walls."""
-    margin_m: float = Field(default=0.15, ge=0.0, le=1.0)
+    margin_m: float = Field(default=0.20, ge=0.0, le=1.0)
     """Between the car's side and a wall, on the line."""
     vehicle_width_m: float | None = Field(default=None, gt=0.05, le=2.0)
     """In place of the footprint's."""
