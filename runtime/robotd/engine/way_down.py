@@ -105,7 +105,7 @@ class WayDown:
             by=winner.by,
             previous=self.command,
             dt_s=(now_ns - self._written_ns) / 1e9,
-            sensed=() if stale else self._sense(),
+            sensed=self._sense() if self._scans and not stale else (),
             stale=stale,
         )
         # a ramp goes on by itself; anything else stays until the wish or a scan changes

@@ -163,15 +163,18 @@ class Guard:
         if ramped is not ranged:
             limited += ("acceleration",)
         still = abs(ramped.vx_mps) < STILL and abs(ramped.vy_mps) < STILL and abs(ramped.wz_radps) < STILL
-        if still or self._zones_are_off:
-            return Guarded(_in_kind(STOP if still else ramped, steering), limited)
-        if stale:
-            return Guarded(_stop_like(command), (*limited, "stale"), f"the stop zone has no fresh {stale}")
-        factor, name, reason = self._zones(ramped, by, sensed)
-        if factor < 1.0:
-            ramped = Drive(ramped.vx_mps * factor, ramped.wz_radps * factor, ramped.vy_mps * factor)
-            limited += (name,)
-        return Guarded(_in_kind(ramped, steering), limited, reason if factor == 0.0 else "")
+        why = ""
+        if still:
+            ramped = STOP
+        elif not self._zones_are_off:
+            if stale:
+                return Guarded(_stop_like(command), (*limited, "stale"), f"the stop zone has no fresh {stale}")
+            factor, name, reason = self._zones(ramped, by, sensed)
+            if factor < 1.0:
+                ramped = Drive(ramped.vx_mps * factor, ramped.wz_radps * factor, ramped.vy_mps * factor)
+                limited += (name,)
+            why = reason if factor == 0.0 else ""
+        return Guarded(ramped if steering is None else Steer(ramped.vx_mps, steering), limited, why)
 
     def _steered(self, drive: Drive, steering_rad: float) -> tuple[Drive, float]:
         """Body velocity and angle of front wheels that turn no further than they can."""
@@ -390,7 +393,3 @@ def _names(sensed: Sequence[Sensed]) -> str:
 
 def _stop_like(command: Command) -> Command:
     return Drive() if isinstance(command, Drive) else Steer(0.0, command.steering_rad)
-
-
-def _in_kind(drive: Drive, steering_rad: float | None) -> Command:
-    return drive if steering_rad is None else Steer(drive.vx_mps, steering_rad)
