@@ -38,6 +38,7 @@ class Lap:
     _ring: Float64s = field(init=False)
     _way: Float64s = field(init=False)
     _angles: Any = field(init=False)
+    _scans: dict[float, LidarScan] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         middle = self.ground.track.middle_m
@@ -65,14 +66,21 @@ class Lap:
         x, y, yaw = (float(np.interp(way, self._way, self._ring[:, k])) for k in range(3))
         return x, y, yaw + laps * (self._ring[-1, 2] - self._ring[0, 2])
 
-    def odometry(self, at_s: float) -> Odometry:
-        """What wheels and a gyroscope tell."""
-        a, b = self.pose(at_s - 0.01), self.pose(at_s + 0.01)
+    def odometry(self, at_s: float, jump: Pose = (0.0, 0.0, 0.0)) -> Odometry:
+        """What wheels and a gyroscope tell. jump: as for a scan."""
+        a, b = (compose(self.pose(at_s + step), jump) for step in (-0.01, 0.01))
         vx, _, wz = twist_of(compose(inverse(a), b), 0.02 if at_s > 0.01 else 0.01)
         return Odometry(round(at_s * S), 0.0, 0.0, 0.0, vx, 0.0, wz)
 
     def scan(self, at_s: float, jump: Pose = (0.0, 0.0, 0.0), ground: Any = None) -> LidarScan:
         """A scan whose sweep ends then. jump: where the car really is, seen from where it should be."""
+        if jump != (0.0, 0.0, 0.0) or ground is not None:
+            return self._scan(at_s, jump, ground or self.ground)
+        if at_s not in self._scans:
+            self._scans[at_s] = self._scan(at_s, jump, self.ground)
+        return self._scans[at_s]
+
+    def _scan(self, at_s: float, jump: Pose, ground: Any) -> LidarScan:
         rng = np.random.default_rng(round(at_s * 1e6))
         shares = np.linspace(0.0, 1.0, self.beams) if self.sweep else np.ones(self.beams)
         starts = at_s - 1.0 / self.rate_hz
@@ -81,7 +89,7 @@ class Lap:
         yaw = np.interp(shares, np.linspace(0.0, 1.0, 9), np.unwrap([pose[2] for pose in grid]))
         bearing = self._angles.astype(np.float64) + yaw
         lx, ly = px + self.lidar_x_m * np.cos(yaw), py + self.lidar_x_m * np.sin(yaw)
-        ranges = (ground or self.ground).ranges_m(lx, ly, bearing, 12.0)
+        ranges = ground.ranges_m(lx, ly, bearing, 12.0)
         ranges = np.maximum(ranges + self.noise_m * rng.standard_normal(self.beams), 0.0)
         ranges[rng.random(self.beams) < self.dropout] = math.nan
         stamp_ns = round(at_s * S)

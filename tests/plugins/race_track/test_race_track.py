@@ -71,7 +71,7 @@ def ring_walls(inner_m: float, outer_m: float) -> tuple[Surface, Float64s]:
     return Surface(np.vstack((unit * inner_m, unit * outer_m)), np.vstack((unit, -unit))), path
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=5, deadline=None)
 @given(st.floats(2.0, 4.0), st.floats(1.2, 2.6))
 def test_distances_are_true_and_signed(inner_m: float, width_m: float) -> None:
     surface, path = ring_walls(inner_m, inner_m + width_m)

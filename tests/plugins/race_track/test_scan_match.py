@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robotd.testing import box_scan, corridor_scan
@@ -104,6 +104,7 @@ def frame_of(scan: LidarScan) -> KeyFrame:
     return key_frame(x, y, scan.x_m, scan.y_m)
 
 
+@settings(max_examples=30)
 @given(st.floats(-0.4, 0.4), st.floats(-0.3, 0.3), st.floats(-0.15, 0.15))
 def test_a_scan_finds_its_place_in_a_room(x_m: float, y_m: float, expected_rad: float) -> None:
     scan = room(x_m, y_m)

@@ -57,9 +57,9 @@ def test_a_lap_closes_on_itself(lap: Lap, what: str, change: dict[str, float]) -
 def test_it_rests_after_its_survey_until_there_is_a_new_goal(lap: Lap) -> None:
     surveyor = TrackSurveyor(TrackSurveyConfig(attempts=1), CAR)
     first, second = ActiveGoal(1, "ftg_race"), ActiveGoal(2, "ftg_race")
-    said = [s for at in lap.times(0.0, 2.6 * lap.lap_s) if (s := surveyor.step(seen(lap, at, first))) is not None]
+    said = [s for at in lap.times(0.0, 1.4 * lap.lap_s) if (s := surveyor.step(seen(lap, at, first))) is not None]
     assert [survey.number for survey in said] == [1]
-    again = (surveyor.step(seen(lap, at, second)) for at in lap.times(2.6 * lap.lap_s, 4.0 * lap.lap_s))
+    again = (surveyor.step(seen(lap, at, second)) for at in lap.times(1.4 * lap.lap_s, 2.8 * lap.lap_s))
     assert [survey.number for survey in again if survey is not None] == [2]
 
 
