@@ -28,10 +28,14 @@ from robotd_devices.ports.serial_raw import RawSerialPort
 
 #: Bytes a read, as the commonest USB bridges hand them over.
 CHUNK = 62
+#: Bytes of a recording, many times what a port throws away when it is opened.
+RECORDED, RECORDED_QUICK = 1 << 19, 1 << 18
+_THROWN_AWAY = 65_536
 
 
-def _recorded(model: str, mode: int, seconds: float) -> tuple[RplidarFake, int, bytes]:
+def _recorded(model: str, mode: int, size: int) -> tuple[RplidarFake, int, bytes]:
     fake = RplidarFake(model)
+    seconds = size * 10 / fake.model.baud
     fake.feed(motor_rpm(600) + (express_scan(mode) if mode else request(SCAN)), 0)
     head = AnswerReader(None)
     head.feed(fake.tick(round(seconds * 1e9)))
@@ -94,7 +98,7 @@ def _ours_on_a_pty(fake: RplidarFake, answer: int, data: bytes) -> float:
             left -= len(chunk)
             for scan in reader.feed(chunk, time.monotonic_ns()):
                 samples += len(scan.ranges_m)
-            if left <= 65_536:  # opening throws away what was there before
+            if left <= _THROWN_AWAY:  # opening throws away what was there before
                 done.set()
 
         port = RawSerialPort(SerialSettings(path, fake.model.baud), take, lambda reason: done.set())
@@ -175,12 +179,12 @@ def _sdk(model: str, seconds: float) -> float | None:
 
 def measure(ctx: Context) -> None:
     """parse_us_per_sample_legacy and _capsule; rows for every mode."""
-    seconds, rounds = (6.0, 3) if ctx.quick else (10.0, 9)
+    size, rounds = (RECORDED_QUICK, 3) if ctx.quick else (RECORDED, 9)
     module = _pyrplidar()
     if module is None:
         ctx.note("no baseline of parsing: pytest tests/interop puts pyrplidar there")
     for model, mode in [("c1", 0), ("a1", 0), ("s2", 0), ("a1", 1), ("a1", 2), ("s2", 1), ("s3", 2)]:
-        fake, answer, data = _recorded(model, mode, seconds * (0.3 if model[0] == "s" else 1.0))
+        fake, answer, data = _recorded(model, mode, size)
         row: dict[str, Any] = {"what": "parse", "model": model, "answer": f"{answer:#x}", "peer_us": None}
         row["chunks_us"] = statistics.median(_ours(fake, answer, data) for _ in range(rounds))
         row["us"] = statistics.median(_ours_on_a_pty(fake, answer, data) for _ in range(rounds))

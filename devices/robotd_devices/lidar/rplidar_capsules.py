@@ -126,6 +126,9 @@ class CapsuleParser:
         buffer = self._rest + data if self._rest else data
         self._arrivals.read(len(data), now_ns)
         end, at = len(buffer), 0
+        if end < size + ahead:
+            self._rest = buffer
+            return []
         found: list[Capsule] = []
         while end - at >= size + ahead:
             if buffer[at] & 0xF0 != 0xA0 or buffer[at + 1] & 0xF0 != 0x50:
