@@ -223,7 +223,10 @@ def first_due_ns(now_ns: int, phase: float) -> int:
 
 
 class Line:
-    """The bytes of an LD19, a packet at a time, when they would come; revolutions end at `phase` of a turn."""
+    """The bytes of an LD19, a packet at a time, when they would come; revolutions end at `phase` of a turn.
+
+    What came while the loop was held up is handed over in one piece, as a kernel's line buffer does.
+    """
 
     def __init__(self, phase: float, take: Callable[[bytes], None]) -> None:
         fake = Ld19Fake(ROOM, rotation_hz=ROTATION_HZ, rate_hz=RATE_HZ, first_deg=180.0)
@@ -235,7 +238,7 @@ class Line:
     def start(self) -> None:
         loop: Any = asyncio.get_running_loop()
         self._loop = loop
-        self._due_ns = first_due_ns(loop.now_ns(), self._phase)
+        self._due_ns = first_due_ns(loop.now_ns(), self._phase) + PACKET_NS
         self._schedule()
 
     def stop(self) -> None:
@@ -243,12 +246,16 @@ class Line:
             self._handle.cancel()
 
     def _schedule(self) -> None:
-        self._due_ns += PACKET_NS
         self._handle = self._loop.call_at_ns(self._due_ns, self._deliver)
 
     def _deliver(self) -> None:
+        data = encode(self._next())
+        self._due_ns += PACKET_NS
+        while self._due_ns <= self._loop.now_ns():
+            data += encode(self._next())
+            self._due_ns += PACKET_NS
         self._schedule()
-        self._take(encode(self._next()))
+        self._take(data)
 
 
 class _Beating:
