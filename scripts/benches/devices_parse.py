@@ -29,8 +29,8 @@ from robotd_devices.ports.serial_raw import RawSerialPort
 #: Bytes a read, as the commonest USB bridges hand them over.
 CHUNK = 62
 #: Bytes of a recording, many times what a port throws away when it is opened.
-RECORDED, RECORDED_QUICK = 1 << 19, 1 << 18
-_THROWN_AWAY = 65_536
+RECORDED, RECORDED_QUICK = 1 << 19, 1 << 17
+_THROWN_AWAY = 1 << 15
 
 
 def _recorded(model: str, mode: int, size: int) -> tuple[RplidarFake, int, bytes]:
