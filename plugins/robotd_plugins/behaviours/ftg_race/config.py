@@ -58,7 +58,7 @@ class FtgRaceConfig(Config):
 
     vehicle_width_m: float | None = Field(default=None, gt=0.05, le=2.0)
     """In place of the footprint's (vehicle_width_mm); TT-02D: 0.182 or 0.190."""
-    safety_margin_m: float = Field(default=0.100, ge=0.0, le=0.5)
+    safety_margin_m: float = Field(default=0.120, ge=0.0, le=0.5)
     """Beside the car (safety_margin_mm)."""
 
     free_threshold_m: float = Field(default=0.700, gt=0.0, le=10.0)
@@ -87,11 +87,11 @@ class FtgRaceConfig(Config):
 
     mu: float = Field(default=1.0489, gt=0.05, le=2.0)
     """Friction between tyre and floor; the shares below are of mu g."""
-    lateral_share: float = Field(default=0.840, gt=0.0, le=1.0)
+    lateral_share: float = Field(default=0.860, gt=0.0, le=1.0)
     """Of it is planned with in bends."""
-    brake_share: float = Field(default=0.600, gt=0.0, le=1.0)
+    brake_share: float = Field(default=0.560, gt=0.0, le=1.0)
     """Of it is planned with before the end of what is free."""
-    corner_brake_share: float = Field(default=0.632, gt=0.0, le=1.0)
+    corner_brake_share: float = Field(default=0.660, gt=0.0, le=1.0)
     """Of it is planned with on the way to a bend."""
     accel_mps2: float = Field(default=9.0, gt=0.0, le=20.0)
     """It speeds up no faster (accel_limit)."""

@@ -37,7 +37,7 @@ _SLOW_MPS = 1.0
 _HAIR_M = 0.005
 _LEAST_MARGIN_M = 0.015
 _CREEP_MPS = 0.6
-_DEEP, _DEEP_MPS = 0.6, 1.5
+_DEEP, _DEEP_MPS = 0.4, 1.5
 _NEAR_M = 0.03
 """Clearance of the real outline on the way that is steered."""
 

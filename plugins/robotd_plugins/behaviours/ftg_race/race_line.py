@@ -73,7 +73,8 @@ class Fan:
         self._radius1_m = 1.0 / np.maximum(self._size1_pm, 1e-6)
         self._radius2_m = 1.0 / np.maximum(self._size2_pm, 1e-6)
         self._first_m = np.where(s1 < reach_m, s1, 1e-3)
-
+        self._held_for = (0.0, 0.0)
+        self._held = (k1, k2)
         self._alike: dict[tuple[float, float], NDArray[np.intp]] = {}
 
     def __len__(self) -> int:
@@ -110,8 +111,7 @@ class Fan:
         lateral, accel, brake = limits.lateral_mps2, 2.0 * limits.accel_mps2, 2.0 * limits.brake_mps2
         top2, now2 = limits.top_mps**2, speed_mps**2
         first = self._first_m
-        c1 = np.minimum(self._radius1_m * lateral, top2)
-        c2 = np.minimum(self._radius2_m * lateral, top2)
+        c1, c2 = self._held2(lateral, top2)
         left = np.maximum(free_m - short_m, 0.0)
         # backwards: at the change of bend, and now
         u2 = np.minimum(c2, brake * np.maximum(left - first, 0.0))
@@ -128,6 +128,16 @@ class Fan:
         time *= 2.0
         time -= self._gained_s(time, v3, free_m, over_m)
         return time, u1
+
+    def _held2(self, lateral_mps2: float, top2: float) -> tuple[Float64s, Float64s]:
+        """Squares of the speeds that friction holds in both bends; kept while the limits stay."""
+        if self._held_for != (lateral_mps2, top2):
+            self._held_for = (lateral_mps2, top2)
+            self._held = (
+                np.minimum(self._radius1_m * lateral_mps2, top2),
+                np.minimum(self._radius2_m * lateral_mps2, top2),
+            )
+        return self._held
 
     def _gained_s(self, time_s: Float64s, then2: Float64s, free_m: Float64s, over_m: float) -> Float64s:
         """What a path is ahead of the quickest one after `over_m`, measured the way that one heads there, in seconds.
