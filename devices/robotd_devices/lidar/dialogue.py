@@ -196,7 +196,7 @@ class Dialogue:
             until_s = loop.time() + step.rest_s
             while 0 < len(got) < step.size and loop.time() < until_s:
                 self._news.clear()
-                await self._heard(max(0.0, until_s - loop.time()))
+                await self._heard(step.every_s)
         finally:
             self._parse = None
         return bytes(got[: step.size]) if len(got) >= step.size else None

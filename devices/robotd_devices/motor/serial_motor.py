@@ -28,6 +28,8 @@ from robotd_devices.motor.serial_motor_line import MakePort, MotorLine
 from robotd_devices.motor.serial_motor_odometry import PoseSum
 from robotd_devices.ports.serial_port import Backend, SerialSettings, load_backend, serial_port
 
+_NO_TIME_S = 1e-6
+"""A wait that is shorter than the loop's own steps would be no wait, again and again."""
 _ASK_AGAIN_S = 0.005
 """Until a question that a stop was in the way of is tried again."""
 
@@ -161,7 +163,7 @@ class SerialMotor(Actuator[SerialConfigT, CommandT], Generic[SerialConfigT, Comm
                 left_s = until_s - loop.time()
                 if self._why_lost:
                     raise DeviceUnavailable(f"{self.context.name}: {self._why_lost}")
-                if left_s <= 0.0:
+                if left_s < _NO_TIME_S:
                     raise DeviceUnavailable(
                         f"{self.context.name}: no answer on {self.path} at {self.config.baud} baud for "
                         f"{self.config.answer_s:g} s: {hint}"

@@ -14,7 +14,6 @@ from robotd_devices.ports.breakable import Breakable
 from robotd_devices.ports.fakes import Damage, FakeDevice, damage
 from robotd_devices.ports.serial_port import BITS_PER_BYTE, Backend, SerialSettings
 
-STEP_S = 0.001
 KERNEL_BYTES = 4096
 """What the kernel takes of a full line."""
 OTHER_BAUD = 460_800
@@ -26,7 +25,7 @@ class MemoryHost(Breakable):
 
     Bytes take their time on the wire both ways. A port at another speed than `baud` reads noise, and what it writes is
     not understood, unless the fake has a `measures(data, baud)` by which it takes another speed over. On virtual time
-    everything is the same bit for bit, with the same `seed`.
+    everything is the same bit for bit, with the same `seed`. step_s: how often bytes are handed over.
     """
 
     breaks: ClassVar[Mapping[str, str]] = MappingProxyType(
@@ -43,9 +42,10 @@ class MemoryHost(Breakable):
         }
     )
 
-    def __init__(self, fake: FakeDevice, baud: int, *, seed: int = 1) -> None:
+    def __init__(self, fake: FakeDevice, baud: int, *, seed: int = 1, step_s: float = 0.001) -> None:
         self.fake = fake
         self.baud = baud
+        self.step_s = step_s
         self.splits = False
         """Each byte is a read of its own."""
         self.is_stuck = False
@@ -85,6 +85,10 @@ class MemoryHost(Breakable):
         if out:
             for port in self.ports[:]:
                 port.pulled()
+
+    def port_opened(self, settings: SerialSettings) -> None:
+        """Called by a port that was opened: old input is thrown away."""
+        self.fake.tick(now_ns())
 
     def lose_byte(self, now_ns: int) -> None:
         """One of the next bytes is lost."""
@@ -153,8 +157,8 @@ class MemoryPort:
         host.opened.append((self._loop.time(), self.settings))
         host.ports.append(self)
         self._modem(self.settings.dtr is None or self.settings.dtr)
-        host.fake.tick(now_ns())  # old input is thrown away
-        self._timer = self._loop.call_later(STEP_S, self._step)
+        host.port_opened(self.settings)
+        self._timer = self._loop.call_later(self._host.step_s, self._step)
 
     def write(self, data: bytes, *, first: bool = False) -> None:
         if not self._is_open:
@@ -173,7 +177,7 @@ class MemoryPort:
         while self._out and self._is_open:
             if loop.time() >= until_s:
                 return False
-            await asyncio.sleep(STEP_S)
+            await asyncio.sleep(self._host.step_s)
         return self._is_open
 
     def abort(self) -> None:
@@ -202,7 +206,7 @@ class MemoryPort:
     # ---------------------------------------------------------------------------------------- the wire
 
     def _step(self) -> None:
-        self._timer = self._loop.call_later(STEP_S, self._step)
+        self._timer = self._loop.call_later(self._host.step_s, self._step)
         self._send()
         data = self._receive()
         if self._host.splits:
