@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import re
 import time
+from collections import Counter
 from typing import Any
+
+import numpy as np
 
 from benches.race_plant import NS, Driver
 from robotd.world.kinematics import Ackermann
@@ -11,9 +15,11 @@ from robotd.world.messages import LidarScan, Message, Odometry, Steer
 from robotd.world.robot import Robot
 from robotd_devices.sim.single_track import F1TENTH, TT02D, RaceCar
 from robotd_plugins.behaviours.ftg_race import FtgRace, FtgRaceConfig, Sees
+from robotd_plugins.behaviours.ftg_race.line.lap_two import LINE
 from robotd_plugins.perception import race_track, track_position, track_survey
 from robotd_plugins.toolkit.race_track import Located, RaceTrack
 
+_NUMBER = re.compile(r"-?\d+(\.\d+)?")
 SOLVE_S = 3.0
 """The survey is a track and a line so much later, as the perceptor declares for virtual time."""
 
@@ -85,6 +91,18 @@ class Behaving:
         self.took_us: list[float] = []
         self.failed = ""
         self._scan: LidarScan | None = None
+        self._by: Counter[str] = Counter()
+
+    def line_told(self) -> dict[str, Any]:
+        """Since there is a line: the share of steps driven on it, why the others were not, and what the rest costs."""
+        steps = max(self._by.total(), 1)
+        why = {reason: count / steps for reason, count in self._by.most_common(6) if reason != LINE}
+        learning = self.learning
+        assert learning is not None
+        return {
+            "share": self._by[LINE] / steps, "why_not": why, "solve_s": learning.solve_s,
+            "perceptors_us": [float(np.percentile(learning.took_us, q)) for q in (50, 99)],
+        }  # fmt: skip
 
     def __call__(self, scan: LidarScan, odometry: Odometry, now_ns: int) -> Steer | None:
         is_new = scan is not self._scan
@@ -98,6 +116,8 @@ class Behaving:
         result = self.behaviour.step(seen)
         if is_new:
             self.took_us.append((time.thread_time_ns() - begin) / 1e3)
+        if self.learning is not None and self.learning.track is not None:
+            self._by[_NUMBER.sub("#", self.behaviour.driven_by)] += 1
         if isinstance(result, Steer):
             return result
         self.failed = getattr(result, "reason", "")

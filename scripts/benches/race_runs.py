@@ -62,16 +62,19 @@ def conditions_of(car: str, seed: int = 0) -> Conditions:
     return Conditions(seed=seed)
 
 
-def laps(name: str, car: str, count: int, data: Path, **keys: Any) -> Row:
-    """Consecutive laps from a standstill."""
+def laps(name: str, car: str, count: int, data: Path, learn: bool = False, what: str = "laps", **keys: Any) -> Row:
+    """Consecutive laps from a standstill; learn: with the line from lap 2 on."""
     here = ground(name, data)
-    driver = Behaving(CARS[car], **keys)
+    driver = Behaving(CARS[car], learn, **keys)
     run = Race(here, CARS[car], conditions_of(car)).drive(driver, count, limit_s=count * 300.0)
     limit = limited_lap_s(here.track, CARS[car], TOP_MPS[car], CARS[car].mu)
-    return {
-        "what": "laps", "track": name, "car": car, **row_of(run, count), "limit_s": limit,
+    row = {
+        "what": what, "track": name, "car": car, "learn": learn, **row_of(run, count), "limit_s": limit,
         "plan_us": [float(np.percentile(driver.took_us, q)) for q in (50, 99)], "path": path_of(run),
     }  # fmt: skip
+    if driver.learning is not None:
+        row["line"] = driver.line_told()
+    return row
 
 
 def plain(name: str, data: Path, linear_tyres: bool) -> Row:

@@ -112,6 +112,11 @@ class FtgRace(Behaviour[FtgRaceConfig, Sees, RaceGoal]):
         self._planned_ns = seen.now_ns
         return self._act(self._scan, self._on_line(self._scan, seen))
 
+    @property
+    def driven_by(self) -> str:
+        """The learned line, or follow-the-gap and why."""
+        return self._lap_two.driven_by if self._lap_two is not None else "follow-the-gap"
+
     def _on_line(self, scan: Scan, seen: Sees) -> Command | None:
         """What the learned line asks for, if it may."""
         if self._lap_two is None or self._recovery.state is not State.RACE:

@@ -22,6 +22,8 @@ log = logging.getLogger("robotd.ftg_race")
 
 _AGAIN_NS = NS_PER_S // 4
 """After a fallback the line is not tried for so long."""
+LINE = "learned line"
+"""What `driven_by` says then."""
 
 
 class LapTwo:
@@ -80,7 +82,7 @@ class LapTwo:
             return f"the place is not sure: {located.reason}"
         if located.version != line.version:
             return f"the place is on version {located.version} of the track, the line on {line.version}"
-        found = self._planner.plan(scan, line, base_track, now_ns)
+        found = self._planner.plan(scan, line, base_track, now_ns, not self.is_on)
         if self._dropped:
             return self._dropped
         if not self.is_on and self._off_ns is not None and now_ns - self._off_ns < _AGAIN_NS:
@@ -95,11 +97,16 @@ class LapTwo:
             log.info("off the learned line: %s", why)
         self.is_on, self.why = is_on, why
 
+    @property
+    def driven_by(self) -> str:
+        """Who drives; for follow-the-gap, why."""
+        return LINE if self.is_on else f"follow-the-gap: {self.why}"
+
     def explain(self) -> Explanation:
         """Who drives and why, and where beside the line the car is."""
         place = self._planner.place
         return (
-            Text("driven by", "learned line" if self.is_on else f"follow-the-gap: {self.why}"),
+            Text("driven by", self.driven_by),
             Scalar("off the line", place.aside_m, "m"),
             Scalar("along the line", place.s_m, "m"),
             Scalar("line free", self._planner.free_m, "m"),

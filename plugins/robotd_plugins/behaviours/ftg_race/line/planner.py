@@ -22,9 +22,10 @@ from robotd_plugins.behaviours.ftg_race.planning_types import FREE, Command, Mot
 
 Pose = tuple[float, float, float]
 _TURNED_RAD = 0.5
+_JOIN_SHARE = 0.6
 _OVER = 1.12
 _OVER_MPS = 0.3
-_SLOWED = 0.85
+_SLOWED = 0.7
 _SETTLE_S = 0.06
 _NEAR_M = 0.03
 """Clearance of the real outline."""
@@ -61,14 +62,15 @@ class LinePlanner:
         self.place = Place(0.0, 0.0, 0.0)
         self.free_m = 0.0
 
-    def plan(self, scan: Scan, line: TrackLine, base_track: Pose, now_ns: int) -> Command | str:
-        """base_track: base at the sweep's end, seen in track."""
+    def plan(self, scan: Scan, line: TrackLine, base_track: Pose, now_ns: int, joins: bool = False) -> Command | str:
+        """base_track: base at the sweep's end, seen in track. joins: the car was not on the line and must be nearer."""
         config, motion, planner = self._config, scan.motion, self._planner
         v = motion.speed_mps
         x, y = planner.points(scan)
         at = compose(compose(base_track, (self._body.middle_m, 0.0, 0.0)), planner.frame)
         place = self.place = line.place(*at)
-        if abs(place.aside_m) > config.line_bound_m or abs(place.turned_rad) > _TURNED_RAD:
+        share = _JOIN_SHARE if joins else 1.0
+        if abs(place.aside_m) > share * config.line_bound_m or abs(place.turned_rad) > share * _TURNED_RAD:
             return f"{place.aside_m:.2f} m and {place.turned_rad:.2f} rad off the line"
         wanted = self._tracker.speed_mps(line, place, v)
         if v > _OVER * wanted + _OVER_MPS:
