@@ -74,10 +74,13 @@ class ScanMaker:
             ranges_m[:] = np.nan
         early_ns = min([at_ns - beam * beam_ns for beam, at_ns in marks])
         start_ns = max(int(early_ns), self._stamp_ns + 1)
-        self._stamp_ns = max(start_ns + int((n - 1) * beam_ns), start_ns + n)
+        stamp_ns = max(start_ns + int((n - 1) * beam_ns), start_ns + n)
+        # several turns that came in one moment push each other into the future, but not those that follow
+        last_beam, last_ns = marks[-1]
+        self._stamp_ns = min(stamp_ns, last_ns + int((n - 1 - last_beam) * beam_ns))
         mount = self._mount
         return LidarScan(
-            self._stamp_ns,
+            stamp_ns,
             ranges_m,
             clockwise.astype(np.float32),
             start_ns=start_ns,

@@ -106,6 +106,15 @@ def test_times_are_those_of_the_points_however_late_the_bytes_come() -> None:
     assert all(b.start_ns > a.stamp_ns for a, b in itertools.pairwise(got))
 
 
+def test_after_bytes_that_came_late_one_by_one_scans_are_dated_as_before() -> None:
+    """Two turns arrive in one moment, but not in one read: the next scans are not pushed into the future by them."""
+    given = packets(Ld19Fake(), 300)
+    stalled_ns = given[110].arrival_ns
+    given = [p._replace(arrival_ns=max(p.arrival_ns, stalled_ns)) if i >= 30 else p for i, p in enumerate(given)]
+    on_time = [scan.stamp_ns for scan in scans(LdSweep(), packets(Ld19Fake(), 300))]
+    assert [scan.stamp_ns for scan in scans(LdSweep(), given)][-4:] == pytest.approx(on_time[-4:], abs=1000)
+
+
 def test_lost_packets_are_beams_not_measured() -> None:
     given = packets(Ld19Fake(first_deg=170.0), 60)
     whole = scans(LdSweep(), given)[0]
