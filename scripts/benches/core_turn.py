@@ -38,7 +38,7 @@ from robotd_devices.lidar.ld_sweep import LdSweep
 from robotd_devices.ports.serial_port import SerialSettings
 
 BLOCKS, BLOCK_S = 12, 10.0
-BLOCKS_QUICK, BLOCK_QUICK_S = 4, 3.5
+BLOCKS_QUICK, BLOCK_QUICK_S = 4, 3.0
 """Starts of all three programs, and how long they run: an even number, so that places are changed equally often."""
 WARM_UP = 10
 
