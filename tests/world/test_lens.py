@@ -173,6 +173,7 @@ def test_mounts_turn_as_rep_103_says(mount: Mount, forward: Any, left: Any) -> N
         (lambda: Lens(640, 480, 1.0, 1.0, 1.0, 1.0, "fisheye", (0.0,) * 5), "a fisheye lens takes up to 4"),
         (lambda: Lens(640, 480, 1.0, 1.0, 1.0, 1.0, "pinhole", (math.nan,)), "finite terms"),
         (lambda: Lens.of_fov(640, 480, math.pi), "a pinhole lens cannot show 180 degrees"),
+        (lambda: Lens.of_fov(640, 480, 3.0, "fisheye", distortion=(-0.4,)), "folds the picture within"),
     ],
 )
 def test_impossible_lenses_are_refused(make: Any, words: str) -> None:

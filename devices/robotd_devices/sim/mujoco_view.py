@@ -49,11 +49,11 @@ class MujocoView:
         slopes = [part[..., :2] / part[..., 2:] for part in seen]
         reach = np.max([np.abs(part).max(axis=(0, 1)) for part in slopes], axis=0)
         self._size = (
-            math.ceil(2.0 * reach[0] * lens.focal_px[0]) + 2,
-            math.ceil(2.0 * reach[1] * lens.focal_px[0]) + 2,
+            math.ceil(2.0 * reach[0] * lens.fx_px) + 2,
+            math.ceil(2.0 * reach[1] * lens.fx_px) + 2,
         )
         width, height = self._size
-        focal = lens.focal_px[0]
+        focal = lens.fx_px
         self._columns = np.concatenate(
             [at * width + part[..., 0] * focal + (width - 1) / 2.0 for at, part in enumerate(slopes)], axis=1
         ).astype(np.float32)

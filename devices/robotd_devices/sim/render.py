@@ -58,7 +58,7 @@ class Renderer:
         # each part has random numbers of its own, so that a larger floor changes no lamp
         for_people, for_floor, for_room, for_light, for_sensor = rng.spawn(5)
         self._size = (camera.lens.width_px, camera.lens.height_px)
-        self._focal_px = camera.lens.focal_px[0]
+        self._focal_px = camera.lens.fx_px
         self._scene = scene if scene is not None else Scene(world, for_people)
         self._atlas = draw_floor(
             world, FloorLook(look.tape_grey, look.floor_grey, look.grain_std, look.patches_std), look.texel_m, for_floor

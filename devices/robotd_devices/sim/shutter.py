@@ -12,10 +12,10 @@ from pydantic import Field, model_validator
 from robotd.authoring.config import Config
 from robotd.authoring.device import DeviceContext, DeviceMisconfigured
 from robotd.world.clock import ns
+from robotd.world.lens import Lens
 from robotd.world.messages import Bytes2D, CameraFrame, Float64s
 from robotd.world.robot import Mount
 from robotd_devices.ports.ticker import Ticker
-from robotd_devices.sim.lens import Lens
 from robotd_devices.sim.world import FlatWorld
 
 Pose: TypeAlias = tuple[float, float, float]
@@ -53,7 +53,14 @@ class CameraSettings(Config):
 
     def lens(self) -> Lens:
         """The lens that these values describe."""
-        return Lens(self.width_px, self.height_px, self.fov_rad, self.vertical_fov_rad, self.distortion)
+        return Lens.of_fov(
+            self.width_px,
+            self.height_px,
+            self.fov_rad,
+            "pinhole" if self.distortion is None else "fisheye",
+            vertical_fov_rad=self.vertical_fov_rad,
+            distortion=self.distortion or (),
+        )
 
 
 class Shutter:
@@ -71,7 +78,7 @@ class Shutter:
         self._sequence = 0
         self._latency_ns = ns(settings.latency_s)
         self._exposure_ns = ns(settings.exposure_s)
-        self._focal_px = settings.lens().focal_px[0]
+        self._focal_px = settings.lens().fx_px
         self._ticker = Ticker(1.0 / settings.rate_hz, self._show, delay_s=settings.latency_s)
 
     def start(self, world: FlatWorld, render: Render, rng: np.random.Generator) -> None:

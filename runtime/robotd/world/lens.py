@@ -59,15 +59,25 @@ class Lens:
 
     @classmethod
     def of_fov(
-        cls, width_px: int, height_px: int, fov_rad: float, model: Literal["pinhole", "fisheye"] = "pinhole"
+        cls,
+        width_px: int,
+        height_px: int,
+        fov_rad: float,
+        model: Literal["pinhole", "fisheye"] = "pinhole",
+        *,
+        vertical_fov_rad: float | None = None,
+        distortion: tuple[float, ...] = (),
     ) -> Lens:
-        """A centred lens without distortion (fisheye: equidistant) and with square pixels, by its horizontal field of
-        view from edge to edge. Raises ValueError for a pinhole of 180 degrees or more."""
-        if not 0.0 < fov_rad < (math.pi if model == "pinhole" else math.tau):
-            raise ValueError(f"a {model} lens cannot show {math.degrees(fov_rad):g} degrees")
-        half = fov_rad / 2.0
-        focal = width_px / 2.0 / (math.tan(half) if model == "pinhole" else half)
-        return cls(width_px, height_px, focal, focal, (width_px - 1) / 2.0, (height_px - 1) / 2.0, model)
+        """A centred lens by its horizontal field of view from edge to edge.
+
+        Without distortion a fisheye is equidistant. vertical_fov_rad: for pictures that were squeezed to another shape;
+        None means square pixels. Raises ValueError for a pinhole of 180 degrees or more, and for distortion that folds
+        the picture within the field of view.
+        """
+        lens = cls(width_px, height_px, 1.0, 1.0, (width_px - 1) / 2.0, (height_px - 1) / 2.0, model, distortion)
+        fx_px = width_px / 2.0 / lens._radius_at(fov_rad / 2.0)
+        fy_px = fx_px if vertical_fov_rad is None else height_px / 2.0 / lens._radius_at(vertical_fov_rad / 2.0)
+        return replace(lens, fx_px=fx_px, fy_px=fy_px)
 
     def scaled(self, width_px: int, height_px: int) -> Lens:
         """The same lens for pictures that were resized (not cropped) to another size."""
@@ -136,6 +146,15 @@ class Lens:
         folds = [float(root.real) for root in roots if abs(root.imag) < _NEAR * max(1.0, abs(root)) and root.real > 0.0]
         fold = math.sqrt(min(folds)) if folds else math.inf
         return min(fold, math.pi - _NEAR) if self.model == "fisheye" else fold
+
+    def _radius_at(self, angle_rad: float) -> float:
+        """How far off the centre, in focal lengths, a ray falls; raises ValueError where this lens shows none."""
+        if not 0.0 < angle_rad < (math.pi / 2.0 if self.model == "pinhole" else math.pi):
+            raise ValueError(f"a {self.model} lens cannot show {math.degrees(2.0 * angle_rad):g} degrees")
+        argument = math.tan(angle_rad) if self.model == "pinhole" else angle_rad
+        if argument > self._fold:
+            raise ValueError(f"distortion {self.distortion} folds the picture within the field of view")
+        return argument * float(_odd_factor(np.array(argument), self._radial))
 
     @property
     def _p(self) -> tuple[float, float]:

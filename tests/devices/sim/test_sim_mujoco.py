@@ -87,11 +87,11 @@ def test_mujoco_s_tape_is_where_projection_puts_it(lens: dict[str, Any]) -> None
     camera, made = view(TAPE, **lens)
     grey = made.picture(pose)[..., 2].astype(np.float64)
     made.close()
-    horizon = camera.pixels(np.array([(1.2, 0.0)]))[0, 1]
+    horizon = camera.floor_px(np.array([(1.2, 0.0)]))[0, 1]
     for found, side_m in zip(edges_px(grey), (0.025, -0.025), strict=True):
         found = found[found[:, 1] > horizon]
         along = pose[0] + np.geomspace(0.02, 2.5, 3000)
-        truth = camera.pixels(floor_to_base(np.stack((along, np.full(len(along), side_m)), axis=1), pose))
+        truth = camera.floor_px(floor_to_base(np.stack((along, np.full(len(along), side_m)), axis=1), pose))
         gaps = np.array([np.nanmin(np.hypot(*(truth - point).T)) for point in found])
         assert len(found) > 100
         # one sample a pixel: an edge is known to half of one, and so is its lookup

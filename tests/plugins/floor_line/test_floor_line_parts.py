@@ -17,7 +17,8 @@ from robotd import CameraFrame
 from robotd.authoring.explain import ImageBox, ImageLine, Scalar, Text
 from robotd.testing import check_perceptor
 from robotd.world.robot import Mount, Robot
-from robotd_devices.sim.lens import FloorCamera, Lens
+from robotd_devices.sim.lens import FloorCamera
+from robotd_devices.sim.shutter import CameraSettings
 from robotd_plugins.perception.floor_line import FloorLine, FloorLineConfig, Sees
 from robotd_plugins.perception.floor_line.look import Grid
 from robotd_plugins.perception.floor_line.runs import runs_of
@@ -91,7 +92,7 @@ def test_metres_are_those_of_the_simulated_lens(
 ) -> None:
     """Two implementations of one camera model, written apart."""
     mount = Mount(0.06, -0.01, height_m, roll_rad, pitch_rad, yaw_rad)
-    camera = FloorCamera(Lens(320, 240, 2.1, None, distortion), mount)
+    camera = FloorCamera(CameraSettings(fov_rad=2.1, distortion=distortion).lens(), mount)
     pixel = np.array([[(x + 1.0) / 2.0 * 320 - 0.5, row * 240 - 0.5]])
     found = FloorView(mount, 2.1, None, distortion).floor_m(x, row, 320 / 240)
     if camera.rays_base(pixel)[0, 2] > -2e-3:

@@ -49,7 +49,7 @@ def test_line_centres_are_within_two_pixels(floor: Callable[..., Any]) -> None:
             seen = made.seen((float(rng.uniform(0.0, 0.5)), left_m, yaw_rad))
             for roi in (seen.near, seen.far):
                 true_left_m = -left_m / math.cos(yaw_rad) - roi.ahead_m * math.tan(yaw_rad)
-                place = made.camera.pixels(np.array([[roi.ahead_m, true_left_m]]))[0, 0]
+                place = made.camera.floor_px(np.array([[roi.ahead_m, true_left_m]]))[0, 0]
                 off_px.append((roi.x + 1.0) / 2.0 * 320.0 - 0.5 - place)
     assert float(np.sqrt(np.mean(np.square(off_px)))) <= 2.0
     assert float(np.max(np.abs(off_px))) <= 5.0
