@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import pytest
@@ -45,14 +47,15 @@ ROWS = {
 }
 
 TESTS: dict[int, dict[str, tuple[str, ...]]] = {}
-"""Number of a row to its tests: name, and the faults that it injects. Filled as test modules are imported."""
+"""Number of a row to its tests: file and name, and the faults that it injects. Filled as modules are imported."""
 
 
 def answers(row: int, *faults: str) -> Callable[[T], T]:
     """Decorator: the test belongs to a row of the table, and runs once for each fault, which it gets as `fault`."""
 
     def mark(test: T) -> T:
-        TESTS.setdefault(row, {})[test.__name__] = faults
+        file = Path(inspect.unwrap(test).__code__.co_filename).name
+        TESTS.setdefault(row, {})[f"{file}::{test.__name__}"] = faults
         made: T = pytest.mark.parametrize("fault", faults)(test)
         return made
 
