@@ -147,7 +147,7 @@ class Fan:
         at = min(int(self._way_m[1:-1].searchsorted(over_m)), len(self._xs_m) - 1)
         quickest = int(time_s.argmin())
         heading = float(self._turned_rad[quickest, at])
-        along = math.cos(heading) * self._xs_m[at] + math.sin(heading) * self._ys_m[at]
+        along: Float64s = math.cos(heading) * self._xs_m[at] + math.sin(heading) * self._ys_m[at]
         along -= along[quickest]
         along *= 1.0 / max(math.sqrt(float(then2[quickest])), 1.0)
         np.minimum(np.maximum(along, -_MOST_GAIN_S, out=along), _MOST_GAIN_S, out=along)
