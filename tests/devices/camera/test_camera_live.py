@@ -11,6 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from waiting import until
 
 from robotd.authoring.device import DeviceError, DeviceLost, DeviceMisconfigured, DeviceUnavailable
 from robotd.testing import FakeLink, ManualClock, check_sensor, connected
@@ -20,15 +21,6 @@ from robotd_devices.camera import Camera, CameraConfig
 from robotd_devices.camera.capture_fake import CaptureFake
 
 PERIOD_NS = 50_000_000
-
-
-async def until(done: Callable[[], object], within_s: float = 5.0) -> None:
-    """Wait for what another thread brings about; fails where it does not come."""
-    async with asyncio.timeout(within_s):
-        while True:
-            if done():
-                return
-            await asyncio.sleep(0.001)
 
 
 def camera(capture: Callable[[], Any], clock: Clock | None = None, **config: Any) -> tuple[Camera, FakeLink]:

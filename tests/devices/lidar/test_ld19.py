@@ -14,6 +14,7 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 from pydantic import ValidationError
+from waiting import until
 
 from robotd.authoring.device import DeviceContext, DeviceError, DeviceLost, DeviceUnavailable
 from robotd.world.clock import ManualClock
@@ -59,15 +60,6 @@ def device(link: Link, clock: object = None, mount: Mount | None = None, **confi
     robot = Robot(mounts=MappingProxyType({"lidar": mount or Mount()}))
     context = DeviceContext("lidar", clock or MonotonicClock(), robot, link)  # type: ignore[arg-type]
     return Ld19(Ld19Config.model_validate(config), context)
-
-
-async def until(done: Callable[[], bool], within_s: float = 5.0) -> None:
-    """Wait for something that the outside brings about; fails where it does not come."""
-    async with asyncio.timeout(within_s):
-        while True:
-            if done():
-                return
-            await asyncio.sleep(0.002)
 
 
 # ------------------------------------------------------------------------------- on a clock set by hand

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 import pytest
+from jetbot_board import STOP_WRITE, Board
 from pydantic import ValidationError
+from waiting import until
 
 from robotd.authoring.device import DeviceLost, DeviceMisconfigured, DeviceUnavailable, I2cStop
 from robotd.testing import FakeLink, check_actuator, connected
@@ -17,19 +18,15 @@ from robotd.world.kinematics import Mecanum
 from robotd.world.messages import STOP, Drive, Odometry, Steer
 from robotd.world.robot import Robot
 from robotd_devices.motor.jetbot import JetBotMotors, JetBotMotorsConfig
-from robotd_devices.motor.pca9685_fake import BridgeFake, Pca9685Fake
-from robotd_devices.ports.i2c_bus import I2cWrite
+from robotd_devices.motor.pca9685_fake import Pca9685Fake
 from robotd_devices.ports.i2c_fake import FakeI2cBus
 
-STOP_WRITE = I2cWrite(0x60, 0xFD, b"\x10")
 
-
-class GatedBus(FakeI2cBus):
+class GatedBus(Board):
     """A bus that stands still while its gate is closed, as a slow or stuck one does."""
 
     def __init__(self) -> None:
-        self.chip = Pca9685Fake()
-        super().__init__([self.chip])
+        super().__init__()
         self.gate = threading.Event()
         self.gate.set()
         self.waiting = threading.Event()
@@ -39,20 +36,6 @@ class GatedBus(FakeI2cBus):
             self.waiting.set()
             self.gate.wait(5.0)
         return super().transfer(address, data, count)
-
-    @property
-    def forward(self) -> tuple[float, float]:
-        """What the wheels get, left and right, positive forward."""
-        return -BridgeFake(self.chip, 8, 10, 9).voltage, -BridgeFake(self.chip, 13, 11, 12).voltage
-
-
-async def until(done: Callable[[], object], within_s: float = 5.0) -> None:
-    """Wait for what another thread brings about; fails where it does not come."""
-    async with asyncio.timeout(within_s):
-        while True:
-            if done():
-                return
-            await asyncio.sleep(0.001)
 
 
 def motors(fake: FakeI2cBus, robot: Robot | None = None, **config: Any) -> tuple[JetBotMotors, FakeLink]:

@@ -7,41 +7,17 @@ import os
 import subprocess
 import sys
 import threading
-from collections.abc import Callable
 from pathlib import Path
+
+from jetbot_board import STOP_WRITE, Board
+from waiting import until
 
 from robotd.testing import FakeLink, check_actuator, connected
 from robotd.world.messages import Drive
 from robotd_devices.motor.jetbot import JetBotMotors, JetBotMotorsConfig
-from robotd_devices.motor.pca9685_fake import BridgeFake, Pca9685Fake
-from robotd_devices.ports.i2c_bus import EREMOTEIO, I2cWrite
-from robotd_devices.ports.i2c_fake import FakeI2cBus
+from robotd_devices.ports.i2c_bus import EREMOTEIO
 from robotd_devices.ports.i2c_host import I2cHost
 from robotd_devices.ports.i2c_socket import SocketBus
-
-STOP_WRITE = I2cWrite(0x60, 0xFD, b"\x10")
-
-
-class Board(FakeI2cBus):
-    """A bus with a JetBot's chip."""
-
-    def __init__(self) -> None:
-        self.chip = Pca9685Fake()
-        super().__init__([self.chip])
-
-    @property
-    def forward(self) -> tuple[float, float]:
-        """What the wheels get, left and right, positive forward."""
-        return -BridgeFake(self.chip, 8, 10, 9).voltage, -BridgeFake(self.chip, 13, 11, 12).voltage
-
-
-async def until(done: Callable[[], object], within_s: float = 5.0) -> None:
-    """Wait for what another thread brings about; fails where it does not come."""
-    async with asyncio.timeout(within_s):
-        while True:
-            if done():
-                return
-            await asyncio.sleep(0.001)
 
 
 def on_bus(bus: str) -> tuple[JetBotMotors, FakeLink]:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 import pytest
+from waiting import until
 
 from robotd.authoring.device import DeviceMisconfigured, DeviceUnavailable, I2cStop
 from robotd.testing import FakeLink, ManualClock, check_actuator, connected
@@ -25,13 +25,6 @@ from robotd_devices.ports.i2c_fake import FakeI2cBus
 
 MS = 1_000_000
 STOP = scmd.stop_writes(0x5D)
-
-
-async def until(done: Callable[[], object], within_s: float = 5.0) -> None:
-    """Wait for what another thread brings about; fails where it does not come."""
-    async with asyncio.timeout(within_s):
-        while not done():  # noqa: ASYNC110
-            await asyncio.sleep(0.001)
 
 
 def motors(fake: FakeI2cBus, robot: Robot | None = None, **config: Any) -> tuple[ScmdMotors, FakeLink]:

@@ -6,10 +6,10 @@ import asyncio
 import os
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from waiting import until
 
 from robotd.authoring.device import DeviceUnavailable, SerialStop
 from robotd.testing import FakeLink, check_actuator, connected
@@ -24,13 +24,6 @@ from robotd_devices.ports.serial_port import Backend
 
 BAUD = 921_600
 CAR = Robot(kinematics=Ackermann(wheelbase_m=0.257, track_m=0.16, max_steering_rad=0.436))
-
-
-async def until(done: Callable[[], object], within_s: float = 5.0) -> None:
-    """Wait for what another thread brings about; fails where it does not come."""
-    async with asyncio.timeout(within_s):
-        while not done():  # noqa: ASYNC110
-            await asyncio.sleep(0.001)
 
 
 def motors(path: Path, backend: Backend) -> tuple[McMotors, FakeLink]:

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from waiting import until
 
 from robotd.authoring.device import DeviceError, DeviceMisconfigured, DeviceUnavailable
 from robotd_devices.ports import serial_line
@@ -68,14 +69,6 @@ def backend(request: pytest.FixtureRequest) -> Backend:
     load_backend(request.param)
     name: Backend = request.param
     return name
-
-
-async def until(done: Callable[[], bool], within_s: float = 3.0) -> None:
-    async with asyncio.timeout(within_s):
-        while True:
-            if done():
-                return
-            await asyncio.sleep(0.001)
 
 
 async def settle() -> None:
