@@ -194,6 +194,15 @@ class Told:
         (os.killpg if group else os.kill)(self.pid, number)
         return now_ns
 
+    def gone_ns(self) -> int:
+        """Wait until the kernel has closed a killed robot's end of the line, as the guardian's; returns when."""
+        try:
+            while self._line.recv(4096):
+                pass
+        except ConnectionResetError:  # it had not read everything
+            pass
+        return time.monotonic_ns()
+
     def end(self) -> None:
         """Make sure that it is gone."""
         try:

@@ -253,7 +253,7 @@ class Runtime:
         """A way out: the stop by the driver, and by the guardian in case the driver's line is stuck."""
         self.core.halt()
         if self.guarding is not None:
-            self.guarding.stop_now()
+            self._stop_twice(self.guarding)
 
     def suspend(self) -> None:
         """Stop and disarm, then let the terminal stop this process; after SIGCONT it stands there, disarmed."""
