@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import math
 from collections.abc import Callable
-from dataclasses import astuple
 from typing import ClassVar, Generic
 
 from pydantic import Field
@@ -220,7 +218,7 @@ class SerialMotor(Actuator[SerialConfigT, CommandT], Generic[SerialConfigT, Comm
             raise TypeError(f"{self.context.name} takes {self.accepts.__name__}, not {type(command).__name__}")
         if self._line is None or self._why_lost:
             return
-        if not all(map(math.isfinite, astuple(command))):
+        if not command.is_finite:
             self.context.link.fault("no finite command", repr(command))
             self.halt()
             return

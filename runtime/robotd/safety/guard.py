@@ -188,11 +188,10 @@ class Guard:
 
     def _as_drive(self, command: Command) -> Drive | None:
         """The command as a body velocity, or None where a number in it is not finite."""
-        if isinstance(command, Drive):
-            total = command.vx_mps + command.vy_mps + command.wz_radps
-            return command if math.isfinite(total) else None
-        if not math.isfinite(command.speed_mps + command.steering_rad):
+        if not command.is_finite:
             return None
+        if isinstance(command, Drive):
+            return command
         kinematics = self.robot.kinematics
         wheelbase = kinematics.wheelbase_m if isinstance(kinematics, Ackermann) else 1.0
         return steer_to_drive(command, wheelbase)

@@ -215,6 +215,11 @@ class Drive:
     wz_radps: float = 0.0
     vy_mps: float = 0.0
 
+    @property
+    def is_finite(self) -> bool:
+        """Whether all its numbers are."""
+        return math.isfinite(self.vx_mps + self.wz_radps + self.vy_mps)
+
 
 @dataclass(frozen=True, slots=True)
 class Steer:
@@ -222,6 +227,11 @@ class Steer:
 
     speed_mps: float = 0.0
     steering_rad: float = 0.0
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether both its numbers are."""
+        return math.isfinite(self.speed_mps + self.steering_rad)
 
 
 Command: TypeAlias = Drive | Steer
