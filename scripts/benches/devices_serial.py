@@ -77,7 +77,7 @@ def why_no_c() -> str:
 
 
 @contextlib.contextmanager
-def _world_apart() -> Iterator[set[int]]:
+def world_apart() -> Iterator[set[int]]:
     """This process on one core; gives the cores for the robots, all the others. Where there is one, all share it."""
     if not hasattr(os, "sched_getaffinity"):
         yield set()
@@ -124,7 +124,7 @@ def _block(backend: Backend, c_robot: Path | None, rounds: int, rng: random.Rand
         for each in lines.values():
             stack.callback(each.close)
         paths = [*lines["runtime"].paths, *lines["bare"].paths]
-        cores = stack.enter_context(_world_apart())
+        cores = stack.enter_context(world_apart())
         stack.enter_context(_program([sys.executable, "-m", "benches.devices_serial_robot", backend, *paths], cores))
         if c_robot is not None:
             stack.enter_context(_program([str(c_robot), *lines["c"].paths], cores))

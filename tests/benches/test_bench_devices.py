@@ -16,7 +16,7 @@ sys.path.insert(0, str(ROOT / "scripts"))
 
 from benches.devices import BENCH  # noqa: E402
 from benches.devices_replug import RSS_GROWTH_MB, Held, left_behind, missing  # noqa: E402
-from benches.devices_serial import Lines  # noqa: E402
+from benches.devices_serial import Lines, world_apart  # noqa: E402
 from benches.devices_serial_robot import bare  # noqa: E402
 from benches.guardian_robot import give_up_privileges  # noqa: E402
 from benches.harness import Context, Rows  # noqa: E402
@@ -53,6 +53,17 @@ def test_an_interrupted_run_goes_on_where_it_was(there: list[str], first: int) -
     for key in there:
         ctx.row({"what": "replug"}, key=f"replug mc {key}")
     assert missing(ctx, "mc", 4) == first
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="this system does not bind processes to cores")
+def test_the_world_has_a_core_of_its_own_while_it_measures() -> None:
+    before = os.sched_getaffinity(0)
+    with world_apart() as robots:
+        ours = os.sched_getaffinity(0)
+        assert len(ours) == 1
+        assert ours | robots == before
+        assert robots.isdisjoint(ours) or len(before) == 1
+    assert os.sched_getaffinity(0) == before
 
 
 def test_without_privileges_nothing_is_left_of_them() -> None:
