@@ -12,6 +12,7 @@ import numpy as np
 from robotd.authoring.device import DeviceError, DeviceUnavailable
 from robotd.world.messages import Bytes2D
 from robotd_devices.camera.shape import Shape
+from robotd_devices.ports.ticker import Ticker
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".ppm", ".webp")
 
@@ -138,14 +139,11 @@ class Player:
         on_end: Callable[[DeviceError | None], None],
     ) -> None:
         self._pictures = pictures
-        self._period_s = period_s
         self._on_picture = on_picture
         self._on_late = on_late
         self._on_end = on_end
         self._next: asyncio.Future[Picture | None] | None = None
-        self._timer: asyncio.TimerHandle | None = None
-        self._start_s = 0.0
-        self._beats = 0
+        self._ticker = Ticker(period_s, self._beat)
 
     async def start(self) -> None:
         """Read the first picture, then begin. Raises DeviceError."""
@@ -153,15 +151,11 @@ class Player:
         assert self._next is not None
         await asyncio.wait((self._next,))
         self._next.result()
-        self._start_s = asyncio.get_running_loop().time()
-        self._beats = 0
-        self._schedule()
+        self._ticker.start()
 
     def stop(self) -> None:
         """No picture after this one; the source is closed when its worker is done."""
-        if self._timer is not None:
-            self._timer.cancel()
-            self._timer = None
+        self._ticker.stop()
         if self._next is None or self._next.done():
             self._pictures.close()
         else:
@@ -185,15 +179,7 @@ class Player:
         except Exception as error:
             raise DeviceUnavailable(f"{type(error).__name__}: {error}") from error
 
-    def _schedule(self) -> None:
-        loop = asyncio.get_running_loop()
-        # beats that are already over are left out
-        over = int((loop.time() - self._start_s) / self._period_s + 1e-6)
-        self._beats = max(self._beats, over) + 1
-        self._timer = loop.call_at(self._start_s + self._beats * self._period_s, self._beat)
-
     def _beat(self) -> None:
-        self._schedule()
         fetched = self._next
         if fetched is None or not fetched.done():
             self._on_late()
