@@ -247,7 +247,7 @@ def test_listening_prints_a_line_a_second() -> None:
     assert run_virtual(bench.listen(GAUGE, Robot(), 2.5, lines.append)) == 0
     assert len(lines) == 3
     assert lines[0].startswith("Battery 10.0 Hz, 0.")
-    assert lines[2].endswith("s old: voltage_v 12.250, current_a nan, charge 0.500 | noise: 25")
+    assert lines[2].endswith("s old: voltage_v 12.250, current_a nan, charge 0.500, low False | noise: 25")
 
 
 def test_listening_in_vain(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -276,7 +276,7 @@ def angles(count: int) -> Any:
         (LidarScan(0, np.full(2, np.inf, np.float32), angles(2)), "2 beams, no return, 0% not measured"),
         (LidarScan(0, np.empty(0, np.float32), angles(0)), "0 beams, no return, 100% not measured"),
         (CameraFrame(0, np.full((8, 12, 3), 100, np.uint8), 7), "12 x 8, number 7, brightness 100 of 255"),
-        (Battery(0, 12.0), "voltage_v 12.000, current_a nan, charge nan"),
+        (Battery(0, 12.0), "voltage_v 12.000, current_a nan, charge nan, low False"),
     ],
 )
 def test_values(message: Message, said: str) -> None:
