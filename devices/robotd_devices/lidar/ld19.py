@@ -3,42 +3,29 @@
 from __future__ import annotations
 
 import asyncio
-import math
 
 from pydantic import Field, model_validator
 
-from robotd.authoring.config import Config
 from robotd.authoring.device import DeviceContext, Sensor
 from robotd.world.messages import LidarScan
 from robotd_devices.lidar.delivery import deliver
 from robotd_devices.lidar.ld_packets import LdParser
 from robotd_devices.lidar.ld_sweep import LdSweep
-from robotd_devices.ports.serial_port import Backend, SerialPort, SerialSettings, load_backend, serial_port
+from robotd_devices.lidar.serial_lidar import SerialLidarConfig
+from robotd_devices.ports.serial_port import SerialPort, SerialSettings, load_backend, serial_port
 
 
-class Ld19Config(Config):
+class Ld19Config(SerialLidarConfig):
     """Parameters of an LD19 lidar."""
 
-    port: str = Field(default="/dev/serial/by-id/usb-Silicon_Labs_CP210*", min_length=1)
-    """Serial port by its stable name, or a pattern that fits one; the default is the kit's own adapter."""
     baud: int = Field(default=230_400, ge=9_600, le=4_000_000)
     """Speed of the line; 230400 for LD06, LD19 and STL-19P, 921600 for STL-27L."""
-    backend: Backend = "pyserial"
-    """How the port is read: pyserial (pyserial-asyncio), serialx (its extra) or raw (no library, lower latency)."""
     range_min_m: float = Field(default=0.02, ge=0.0, le=1.0)
     """Nearer than this something is touching, in metres."""
     range_max_m: float = Field(default=12.0, gt=0.0, le=100.0)
     """Farther than this is no return, in metres."""
-    inverted: bool = False
-    """Mounted upside down, so that it turns counter-clockwise seen from above; a mount rolled over says the same."""
     rotation_hz: float = Field(default=10.0, ge=2.0, le=20.0)
     """Revolutions a second; the LD19 turns at 10, an LD06 at what its PWM input says."""
-    seam_deg: float = Field(default=180.0, ge=0.0, lt=360.0)
-    """Device angle (clockwise from the mark) at which a scan begins and ends; 180 puts it behind the lidar."""
-    trust_empty: bool = False
-    """Take a revolution without any return for free space; by default it counts as not measured."""
-    silent_s: float = Field(default=3.0, ge=0.5, le=60.0)
-    """Without a good packet for this long the port is opened anew, in seconds."""
 
     @model_validator(mode="after")
     def _some_range(self) -> Ld19Config:
@@ -74,7 +61,7 @@ class Ld19(Sensor[Ld19Config, LidarScan]):
             byte_ns=self._settings.byte_ns,
             range_min_m=config.range_min_m,
             range_max_m=config.range_max_m,
-            inverted=config.inverted != (math.cos(mount.roll_rad) < 0.0),
+            inverted=config.is_inverted(mount),
             seam_deg=config.seam_deg,
             trust_empty=config.trust_empty,
             mount=mount,

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-import math
 from typing import Literal
 
 from pydantic import Field, model_validator
 
-from robotd.authoring.config import Config
 from robotd.authoring.device import DeviceContext, DeviceError, DeviceLost, DeviceUnavailable, Sensor
 from robotd.world.messages import LidarScan
 from robotd_devices.lidar import rplidar_talk as talk
@@ -18,7 +16,8 @@ from robotd_devices.lidar.dialogue import Dialogue
 from robotd_devices.lidar.rplidar_models import BAUDS
 from robotd_devices.lidar.rplidar_reader import RplidarReader
 from robotd_devices.lidar.rplidar_wire import Info
-from robotd_devices.ports.serial_port import Backend, SerialSettings, load_backend, serial_port
+from robotd_devices.lidar.serial_lidar import SerialLidarConfig
+from robotd_devices.ports.serial_port import SerialSettings, load_backend, serial_port
 
 _LOOK_S = 0.1
 #: A motor needs this long from standstill to its speed; until then no scan is missed.
@@ -29,17 +28,13 @@ _SILENT_AT = (1 / 6, 1 / 2)
 _STALLED_AT = (1 / 6, 5 / 12, 2 / 3)
 
 
-class RplidarConfig(Config):
+class RplidarConfig(SerialLidarConfig):
     """Parameters of an RPLIDAR."""
 
-    port: str = Field(default="/dev/serial/by-id/usb-Silicon_Labs_CP210*", min_length=1)
-    """Serial port by its stable name, or a pattern that fits one; the default is the kit's own adapter."""
     baud: int | Literal["auto"] = "auto"
     """Speed of the line; auto tries 115200 (A1, A2M8), 256000 (A2M12, A3, S1), 460800 (C1), 1000000 (S2, S3)."""
     negotiate: bool = False
     """Ask the lidar to take over `baud`, where it does not answer at it: for a UART that cannot do the lidar's own."""
-    backend: Backend = "pyserial"
-    """How the port is read: pyserial (pyserial-asyncio), serialx (its extra) or raw (no library, lower latency)."""
     mode: str = Field(default="auto", min_length=1)
     """Scan mode by the device's own name (Boost, DenseBoost...), standard, or auto: the best that has a checksum."""
     motor: Literal["auto", "dtr", "pwm", "rpm", "none"] = "auto"
@@ -48,16 +43,8 @@ class RplidarConfig(Config):
     """Pulse width for a motor driven by PWM (A2, A3)."""
     rotation_hz: float = Field(default=10.0, ge=2.0, le=20.0)
     """Revolutions a second: what a motor driven by rpm is told, and what the others are expected to do (A1: 5.5)."""
-    range_min_m: float = Field(default=0.1, ge=0.0, le=1.0)
-    """Nearer than this something is touching, in metres."""
     range_max_m: float = Field(default=12.0, gt=0.0, le=100.0)
     """Farther than this is no return, in metres."""
-    inverted: bool = False
-    """Mounted upside down, so that it turns counter-clockwise seen from above; a mount rolled over says the same."""
-    seam_deg: float = Field(default=180.0, ge=0.0, lt=360.0)
-    """Device angle (clockwise from the mark) at which a scan begins and ends; 180 puts it behind the lidar."""
-    trust_empty: bool = False
-    """Take a revolution without any return for free space; by default it counts as not measured."""
     silent_s: float = Field(default=6.0, ge=1.0, le=60.0)
     """Without a scan: after a sixth of this it is started anew, after half reset, then the port is opened anew."""
 
@@ -156,7 +143,7 @@ class Rplidar(Sensor[RplidarConfig, LidarScan]):
             beam_ns=scanning.mode.sample_us * 1e3,
             range_min_m=config.range_min_m,
             range_max_m=config.range_max_m,
-            inverted=config.inverted != (math.cos(mount.roll_rad) < 0.0),
+            inverted=config.is_inverted(mount),
             seam_deg=config.seam_deg,
             trust_empty=config.trust_empty,
             mount=mount,

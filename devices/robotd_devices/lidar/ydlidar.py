@@ -3,52 +3,37 @@
 from __future__ import annotations
 
 import asyncio
-import math
 from typing import Literal
 
 from pydantic import Field, model_validator
 
-from robotd.authoring.config import Config
 from robotd.authoring.device import DeviceContext, DeviceUnavailable, Sensor
 from robotd.world.messages import LidarScan
 from robotd_devices.lidar import ydlidar_talk as talk
 from robotd_devices.lidar.beam_sweep import BeamSweep
 from robotd_devices.lidar.delivery import deliver
 from robotd_devices.lidar.dialogue import Dialogue
+from robotd_devices.lidar.serial_lidar import SerialLidarConfig
 from robotd_devices.lidar.ydlidar_models import MODELS
 from robotd_devices.lidar.ydlidar_packets import YdParser
 from robotd_devices.lidar.ydlidar_sweep import YdSweep
-from robotd_devices.ports.serial_port import Backend, SerialSettings, load_backend, serial_port
+from robotd_devices.ports.serial_port import SerialSettings, load_backend, serial_port
 
 _FIRST_S = 3.0
 """A motor needs this long from standstill to its speed; until then no packet is missed."""
 
 
-class YdlidarConfig(Config):
+class YdlidarConfig(SerialLidarConfig):
     """Parameters of a YDLIDAR."""
 
-    port: str = Field(default="/dev/serial/by-id/usb-Silicon_Labs_CP210*", min_length=1)
-    """Serial port by its stable name, or a pattern that fits one; the default is the kit's own adapter."""
     model: Literal["x4", "x2", "x3", "g4", "scl", "tmini", "tmini_plus"] = "x4"
     """Which lidar it is: the packets do not say, and samples are read differently."""
     baud: int | None = Field(default=None, ge=9_600, le=4_000_000)
     """Speed of the line; by default the model's."""
-    backend: Backend = "pyserial"
-    """How the port is read: pyserial (pyserial-asyncio), serialx (its extra) or raw (no library, lower latency)."""
     rotation_hz: float = Field(default=7.0, ge=2.0, le=20.0)
     """Revolutions a second that are expected; 7 as the X4 comes."""
-    range_min_m: float = Field(default=0.1, ge=0.0, le=1.0)
-    """Nearer than this something is touching, in metres."""
     range_max_m: float | None = Field(default=None, gt=0.0, le=100.0)
     """Farther than this is no return, in metres; by default the model's."""
-    inverted: bool = False
-    """Mounted upside down, so that it turns counter-clockwise seen from above; a mount rolled over says the same."""
-    seam_deg: float = Field(default=180.0, ge=0.0, lt=360.0)
-    """Device angle (clockwise from the mark) at which a scan begins and ends; 180 puts it behind the lidar."""
-    trust_empty: bool = False
-    """Take a revolution without any return for free space; by default it counts as not measured."""
-    silent_s: float = Field(default=3.0, ge=0.5, le=60.0)
-    """Without a good packet for this long the port is opened anew, in seconds."""
 
     @model_validator(mode="after")
     def _some_range(self) -> YdlidarConfig:
@@ -109,7 +94,7 @@ class Ydlidar(Sensor[YdlidarConfig, LidarScan]):
             beam_ns=1e9 / model.rate_hz,
             range_min_m=config.range_min_m,
             range_max_m=config.range_max_m or model.range_max_m,
-            inverted=config.inverted != (math.cos(mount.roll_rad) < 0.0),
+            inverted=config.is_inverted(mount),
             seam_deg=config.seam_deg,
             trust_empty=config.trust_empty,
             mount=mount,
