@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import ClassVar, Generic, Protocol
@@ -173,7 +172,7 @@ class I2cWheels(Actuator[WheelsConfigT, Drive], Generic[WheelsConfigT]):
             raise TypeError(f"{self.context.name} takes Drive, not {type(command).__name__}")
         if self._writer is None or self._base is None:
             return
-        if not (math.isfinite(command.vx_mps) and math.isfinite(command.wz_radps)):
+        if not command.is_finite:
             self.context.link.fault("no finite command", repr(command))
             self._writer.stop()
             return
