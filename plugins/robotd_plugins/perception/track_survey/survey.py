@@ -33,6 +33,9 @@ _BACK_M: Final = 0.5
 """A car that has gone back farther than this leaves a path that cannot be driven: the survey begins anew."""
 _CLOSE_POINTS: Final = 120
 _ASIDE_M: Final = 0.6
+_AGREE_M: Final = 0.25
+_ALONE: Final = 0.05
+"""What a place that only one late key tells is worth less than one that many tell."""
 _TRIES: Final = 4
 _TRY_NS: Final = 25_000_000
 """One try for so much time between scans, at most `_TRIES`."""
@@ -46,6 +49,8 @@ class Closing:
     late: int
     pose: Pose
     score: float
+    along_m: float
+    """How far odometry has missed it along the track."""
     residual_m: float
     residual_rad: float
 
@@ -61,7 +66,7 @@ class Survey:
     closing: Closing | None = None
     why: str = "waits for the first scan"
     _queue: deque[tuple[int, int, Pose]] = field(default_factory=deque)
-    _best: Closing | None = None
+    _found: list[Closing] = field(default_factory=list)
     _look_from_m: float | None = None
     attempt: int = 0
     """How many surveys were given out since the caller set it to 0."""
@@ -75,8 +80,9 @@ class Survey:
         """Forgets all but how many surveys there were."""
         self.odometry = ScanOdometry(self.config)
         self.keys, self.points = [], []
-        self.closing = self._best = None
+        self.closing = None
         self._queue.clear()
+        self._found.clear()
         self._farthest_m, self._look_from_m = 0.0, None
         self.why = why
 
@@ -147,8 +153,8 @@ class Survey:
         drift_m = self.config.search_m + self.config.drift_share * self.keys[late].way_m
         share = match.explained_share
         score = share - 2.0 * match.residual_m - 0.1 * (residual_m / drift_m) ** 2
-        if share >= self.config.explained_share_min and (self._best is None or score > self._best.score):
-            self._best = Closing(early, late, match.pose, score, residual_m, abs(miss[2]))
+        if share >= self.config.explained_share_min:
+            self._found.append(Closing(early, late, match.pose, score, miss[0], residual_m, abs(miss[2])))
 
     def _decide(self, key: Key) -> None:
         """Takes the best place, when the whole stretch in which the beginning may lie has been driven."""
@@ -158,7 +164,8 @@ class Survey:
         if key.way_m < self._look_from_m + 2.0 * reach_m + self.config.overlap_m:
             return
         self._look_from_m = None
-        self.closing, self._best = self._best, None
+        self.closing = agreed(self._found)
+        self._found.clear()
         if self.closing is not None:
             self.why = f"the lap is closed, odometry missed it by {self.closing.residual_m:.2f} m"
 
@@ -183,3 +190,23 @@ class Survey:
             self._number,
             self.attempt,
         )
+
+
+def agreed(found: list[Closing]) -> Closing | None:
+    """The best of those closings that agree about how far odometry has missed the lap's end along the track.
+
+    In a corridor one scan fits many places about as well; where several late keys say the same, each with its best
+    closing, and say it best in the mean, is the place.
+    """
+
+    def worth(about: Closing) -> float:
+        best: dict[int, float] = {}
+        for other in found:
+            if abs(other.along_m - about.along_m) < _AGREE_M:
+                best[other.late] = max(best.get(other.late, 0.0), other.score)
+        return (sum(best.values()) - _ALONE) / len(best)
+
+    if not found:
+        return None
+    centre = max(found, key=worth)
+    return max((c for c in found if abs(c.along_m - centre.along_m) < _AGREE_M), key=lambda c: c.score)
