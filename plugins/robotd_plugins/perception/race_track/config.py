@@ -14,7 +14,7 @@ class RaceTrackConfig(Config):
     """Size of the distance field's cells."""
     reach_m: float = Field(default=3.0, ge=1.0, le=30.0)
     """The field ends so far beside the driven way."""
-    contradicted_share_max: float = Field(default=0.14, gt=0.0, le=1.0)
+    contradicted_share_max: float = Field(default=0.09, gt=0.0, le=1.0)
     """A map is refused where so many beams of one key frame would have passed through its walls."""
     margin_m: float = Field(default=0.20, ge=0.0, le=1.0)
     """Between the car's side and a wall, on the line."""

@@ -16,6 +16,8 @@ from robotd_plugins.toolkit.race_track import TrackSurvey
 
 _SHARES: Final = (0.3, 0.5, 0.7, 0.85)
 """Of the way from the lidar to the return."""
+_BEHIND_M: Final = 0.04
+"""So far behind a wall it is no noise of the returns that the wall is made of."""
 
 
 def contradicted_share(
@@ -31,6 +33,6 @@ def contradicted_share(
     through = np.zeros(len(key), dtype=np.bool_)
     for share in _SHARES:
         at = ((eyes + share * (ends - eyes) - origin_m) / resolution_m).astype(np.intp)
-        through |= distance_m[at[:, 1].clip(0, rows - 1), at[:, 0].clip(0, columns - 1)] < 0.0
+        through |= distance_m[at[:, 1].clip(0, rows - 1), at[:, 0].clip(0, columns - 1)] < -_BEHIND_M
     count = np.maximum(np.bincount(key, minlength=len(poses)), 1)
     return float((np.bincount(key, through, minlength=len(poses)) / count).max())

@@ -36,8 +36,8 @@ _ASIDE_M: Final = 0.6
 _AGREE_M: Final = 0.25
 _ALONE: Final = 0.05
 """What a place that only one late key tells is worth less than one that many tell."""
-_TRIES: Final = 4
-_TRY_NS: Final = 25_000_000
+_TRIES: Final = 5
+_TRY_NS: Final = 8_000_000
 """One try for so much time between scans, at most `_TRIES`."""
 
 
