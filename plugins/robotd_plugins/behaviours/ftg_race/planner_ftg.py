@@ -36,7 +36,10 @@ _PROMPT_S = 0.03
 _SLOW_MPS = 1.0
 _HAIR_M = 0.005
 _LEAST_MARGIN_M = 0.015
+_INSIDE_M = 0.08
+"""Farther inside its outline a slow car takes what it sees for real."""
 _CREEP_MPS = 0.6
+_AT_STOP_MPS = 0.15
 _DEEP, _DEEP_MPS = 0.4, 1.5
 _NEAR_M = 0.03
 """Clearance of the real outline on the way that is steered."""
@@ -84,7 +87,9 @@ class PlannerFTG:
         half = self._body.half_width_m
         margin = config.safety_margin_m
         side = _least(np.abs(y)[np.abs(x) < self._beside_m]) - half - _HAIR_M
-        near = half + max(side, _LEAST_MARGIN_M) if side < margin else None
+        # nothing is inside a car: what a slow one sees within its outline shows by how much the ranges err
+        least = -_INSIDE_M if v < _SLOW_MPS else _LEAST_MARGIN_M
+        near = half + max(side, least) if side < margin else None
         profile = self._space.profile(x, y, is_hit, half + margin, config.reach_m, scan.step_rad, near)
         free = self._fan.free_m(profile)
         longest = float(free.max())
@@ -92,13 +97,13 @@ class PlannerFTG:
         most = config.v_max_mps if side > _DEEP * margin else min(config.v_max_mps, max(v, _DEEP_MPS))
         if longest <= config.stop_distance_m and side < margin and v < _SLOW_MPS:
             # no way out of the margin is free: a slow car gives it up as far as it must, a fast one brakes
-            profile = self._space.profile(
-                x, y, is_hit, half + max(side, _LEAST_MARGIN_M), config.reach_m, scan.step_rad
-            )
+            profile = self._space.profile(x, y, is_hit, half + max(side, least), config.reach_m, scan.step_rad)
             free = self._fan.free_m(profile)
             longest = float(free.max())
             most = _CREEP_MPS
         self._outline = self._body.wider(min(max(side, 0.0), _NEAR_M))
+        if least < side < 0.0:
+            self._outline = replace(self._body, half_width_m=half + side)
         short = config.stop_distance_m + max(v, 0.0) * motion.period_s
         over = min(config.compare_m, max(config.compare_share * (longest - config.stop_distance_m), 0.3))
         limits = self._limits_after(motion.age_s + motion.period_s)
@@ -116,7 +121,11 @@ class PlannerFTG:
         self._speeds = (wanted, swept)
         if longest <= config.stop_distance_m or swept < _LEAST_FREE_M:
             return Command(0.0, steering_rad(curvature, 0.0, self._body, 0.0), curvature, longest, is_blocked=True)
-        return Command(wanted, self.steered_rad(curvature, motion, wanted), curvature, float(free[best]))
+        angle = self.steered_rad(curvature, motion, wanted)
+        if abs(angle) > self._body.max_steering_rad and v > _SLOW_MPS:
+            # the wheels are at their stop: speeding up lifts the front, and nothing is left to make up for it
+            wanted = min(wanted, v + _AT_STOP_MPS)
+        return Command(wanted, angle, curvature, float(free[best]))
 
     def points(self, scan: Scan) -> tuple[Float64s, Float64s]:
         """Returns (n,) about the middle of the car where it will be when the command acts, x along its course.
@@ -128,8 +137,10 @@ class PlannerFTG:
         v, w = motion.speed_mps, motion.yaw_rate_radps
         slip = self._body.middle_m * w / max(abs(v), 1.0) - self._slip_rad_per_mps2 * v * w
         ahead_s = config.actuation_s
-        x = scan.ranges_m * scan.unit[0]
-        y = scan.ranges_m * scan.unit[1]
+        # what touches is as near as the lidar can tell, and not at the lidar itself
+        ranges = np.maximum(scan.ranges_m, config.range_min_m)
+        x = ranges * scan.unit[0]
+        y = ranges * scan.unit[1]
         x += scan.x_m - self._body.middle_m
         y += scan.y_m
         if motion.sweep_s > 0.0:
