@@ -50,6 +50,34 @@ def test_behind_an_edge_nothing_is_free() -> None:
     assert all(free[k] < 1.0 for k in opened)
 
 
+def test_beside_a_wall_inside_the_margin_the_way_along_it_is_free_for_a_while() -> None:
+    x = np.arange(-2.0, 6.0, 0.03)
+    y = np.full(len(x), -0.22)
+    hit = np.ones(len(x), dtype=bool)
+    strict = FreeSpace().profile(x, y, hit, 0.28, 10.0)
+    soft = FreeSpace().profile(x, y, hit, 0.28, 10.0, near_m=0.21)
+    assert strict[HALF] < 0.05
+    # straight on for a while, but not for long; away from the wall as far as one looks
+    assert 0.2 < soft[HALF] < 2.0 and soft[HALF + round(0.3 / STEP_RAD)] == 10.0
+    # and into it no farther than without a margin
+    assert soft[HALF - round(math.pi / 2.0 / STEP_RAD)] < 0.03
+
+
+@pytest.mark.parametrize("over_m", [1.5, 2.0, 3.0])
+def test_what_a_path_gains_is_measured_the_way_the_quickest_one_heads(over_m: float) -> None:
+    fan = Fan(0.75, 10.0, 8, (1.0, 2.0))
+    straight, bent = 8, 12
+    assert fan.k1_pm[straight] == 0.0
+    times = np.ones(len(fan))
+    times[straight] = 0.9
+    gained = fan._gained_s(times, np.full(len(fan), 4.0), np.full(len(fan), 9.0), over_m)
+    ahead = math.sin(fan.k1_pm[bent] * over_m) / fan.k1_pm[bent]
+    assert gained[straight] == 0.0
+    assert gained[bent] == pytest.approx(max((ahead - over_m) / 2.0, -0.2))
+    # a path that ends before gains nothing and loses nothing by it: its time says enough
+    assert fan._gained_s(times, np.full(len(fan), 4.0), np.full(len(fan), 0.5), over_m).tolist() == [0.0] * len(fan)
+
+
 def test_the_fan_is_mirrored_exactly() -> None:
     fan = Fan(0.75, 10.0, 6, (1.0, 2.0))
     rng = np.random.default_rng(3)

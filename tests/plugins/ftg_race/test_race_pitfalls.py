@@ -121,6 +121,37 @@ def test_the_way_that_is_steered_counts_and_not_the_sector_ahead() -> None:
     assert around.speed_mps > 1.0 and around.curvature_pm < -0.1
 
 
+def test_inside_its_margin_a_fast_car_steers_out_and_does_not_stop() -> None:
+    """A wall 6 cm beside a car at 3 m/s: inside the margin, and no reason for all brakes."""
+    command = planned(corridor(offset_m=-(0.9 - 0.155 - 0.06)), Motion(3.0, 0.0, period_s=0.025))
+    assert not command.is_blocked and command.speed_mps > 2.0
+    assert command.curvature_pm > 0.02
+
+
+@pytest.mark.parametrize(("beside_m", "faster"), [(0.02, False), (0.5, True)])
+def test_deep_inside_its_margin_it_does_not_speed_up(beside_m: float, faster: bool) -> None:
+    command = planned(corridor(offset_m=-(0.9 - 0.155 - beside_m)), Motion(3.0, 0.0, period_s=0.025))
+    assert (command.speed_mps > 3.0) is faster
+
+
+def test_returns_that_noise_puts_inside_a_standing_car_do_not_hold_it() -> None:
+    """A wall 7 cm beside it, ranges that err by 5 cm: some are shorter than the lidar can measure."""
+    rng = np.random.default_rng(7)
+    scan = corridor(offset_m=-(0.9 - 0.155 - 0.07))
+    blocked = 0
+    for _ in range(20):
+        ranges = np.maximum(scan.ranges_m + 0.05 * rng.standard_normal(len(scan.ranges_m)), 0.0).astype(np.float32)
+        here = LidarScan(1, ranges, scan.angles_rad, 0, 0.0, 12.0, scan.x_m)
+        blocked += planned(here, Motion(period_s=0.025)).is_blocked
+    assert ranges.min() < 0.15 and blocked < 10
+
+
+def test_with_its_wheels_at_their_stop_it_hardly_speeds_up() -> None:
+    """Full lock round a corner: the tyres would hold more than the steering can follow."""
+    command = planned(corridor(heading_rad=1.2, offset_m=-0.4, ahead_m=2.2), Motion(2.3, 0.0, period_s=0.025))
+    assert abs(command.steering_rad) > 0.4189 and command.speed_mps == pytest.approx(2.45)
+
+
 def test_the_outline_matters_and_not_the_lidars_place() -> None:
     """The same room, seen from the nose and from the middle, gives almost the same command."""
     commands = [
