@@ -72,9 +72,12 @@ class PlannerFTG:
         self._chosen = (0, 0.0)
         self._speeds = (0.0, 0.0)
         self._is_mirrored = False
+        self._bearing_rad = self._to_left = np.zeros(0)
 
     def plan(self, scan: Scan) -> Command:
-        self._is_mirrored = bool(scan.ranges_m @ np.sign(scan.bearing_rad) < 0.0)
+        if self._bearing_rad is not scan.bearing_rad:
+            self._bearing_rad, self._to_left = scan.bearing_rad, np.sign(scan.bearing_rad)
+        self._is_mirrored = bool(scan.ranges_m @ self._to_left < 0.0)
         if not self._is_mirrored:
             return self._plan(scan)
         return self._plan(scan.mirrored()).mirrored()

@@ -59,14 +59,16 @@ class Fan:
         x, y, turned = _two_bends(k1[:, None], s1[:, None], k2[:, None], way[None, :])
         index = np.rint(np.arctan2(y, x) / STEP_RAD).astype(np.intp) + HALF
         ends = (np.abs(turned) > _BACK_RAD) | (np.abs(index - HALF) > HALF)
-        # beyond its end a path is blocked, whatever the profile says
-        self._radius_m = np.where(np.maximum.accumulate(ends, axis=1), np.inf, np.hypot(x, y))
-        self._index = np.clip(index, 0, BEARINGS - 1)
+        # beyond its end a path is blocked, whatever the profile says; so is the column behind the last point: the reach
+        radius = np.where(np.maximum.accumulate(ends, axis=1), np.inf, np.hypot(x, y))
+        self._radius_m = np.pad(radius, ((0, 0), (0, 1)), constant_values=np.inf)
+        self._index = np.pad(np.clip(index, 0, BEARINGS - 1), ((0, 0), (0, 1)))
         self._way_m = np.concatenate(([0.0], way, [reach_m]))
         self._x_m, self._y_m, self._turned_rad = x, y, turned
         # point by point, for `gained_s`
         self._xs_m, self._ys_m = np.ascontiguousarray(x.T), np.ascontiguousarray(y.T)
-        self._blocked = np.ones((len(k1), len(way) + 1), dtype=np.bool_)
+        self._seen_m = np.empty(self._index.shape)
+        self._blocked = np.empty(self._index.shape, dtype=np.bool_)
         self.k1_pm: Float64s = k1
         self.k2_pm: Float64s = k2
         self._size1_pm, self._size2_pm = np.abs(k1), np.abs(k2)
@@ -95,8 +97,8 @@ class Fan:
 
     def free_m(self, profile: Float64s) -> Float64s:
         """How far along each path the car's middle may go, (len,)."""
-        # one column behind the last point is always blocked: the reach
-        np.less_equal(profile.take(self._index), self._radius_m, out=self._blocked[:, :-1])
+        profile.take(self._index, out=self._seen_m, mode="clip")
+        np.less_equal(self._seen_m, self._radius_m, out=self._blocked)
         free: Float64s = self._way_m.take(self._blocked.argmax(axis=1))
         return free
 
