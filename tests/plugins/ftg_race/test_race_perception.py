@@ -9,7 +9,7 @@ import pytest
 from race_cars import corridor
 
 from robotd.world.messages import LidarScan
-from robotd_plugins.behaviours.ftg_race.perception import ScanPreprocessor
+from robotd_plugins.behaviours.ftg_race.perception import ScanPreprocessor, noise_m
 from robotd_plugins.behaviours.ftg_race.planning_types import FREE, HIT, MISSING, Motion, Scan
 
 STEP = math.radians(1.0)
@@ -84,3 +84,17 @@ def test_the_order_and_the_turn_of_the_beams_do_not_matter() -> None:
 def test_a_lidar_that_sees_nothing_there_is_refused() -> None:
     with pytest.raises(ValueError, match="no beam in the field of view"):
         process(scan_of([1.0, 1.0], 120.0))
+
+
+@pytest.mark.parametrize("dropout", [0.0, 0.1])
+@pytest.mark.parametrize("sigma_m", [0.01, 0.03, 0.05])
+def test_how_much_the_ranges_err_is_found_from_the_scan(sigma_m: float, dropout: float) -> None:
+    rng = np.random.default_rng(11)
+    ranges = corridor(heading_rad=0.2, ahead_m=5.0).ranges_m + sigma_m * rng.standard_normal(1080)
+    ranges[rng.random(1080) < dropout] = math.nan
+    assert noise_m(ranges.astype(np.float32)) == pytest.approx(sigma_m, rel=0.15)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_where_nothing_is_measured_no_error_is_seen(value: float) -> None:
+    assert noise_m(np.full(20, value, dtype=np.float32)) == 0.0

@@ -70,6 +70,15 @@ def test_the_longer_it_takes_the_slower_it_goes(what: str) -> None:
     assert speeds == sorted(speeds, reverse=True) and speeds[0] > speeds[-1] + 0.3, what
 
 
+@pytest.mark.parametrize(("noise_m", "share"), [(0.0, 1.0), (0.04, 1.0), (0.05, 0.88), (0.5, 0.3)])
+def test_where_ranges_err_by_much_less_of_the_grip_is_planned_with(noise_m: float, share: float) -> None:
+    planner = FtgRace(FtgRaceConfig(), None, F1TENTH)._planner
+    assert isinstance(planner, PlannerFTG)
+    limits, full = planner._limits_after(0.02, noise_m), planner._limits
+    for name in ("lateral_mps2", "brake_mps2", "corner_brake_mps2"):
+        assert getattr(limits, name) == pytest.approx(share * getattr(full, name)), name
+
+
 @pytest.mark.parametrize("speed", [2.0, 5.0, 8.0])
 def test_before_a_dead_end_it_can_stop(speed: float) -> None:
     """The braking envelope: what it asks for at d metres, it can still lose before the wall."""

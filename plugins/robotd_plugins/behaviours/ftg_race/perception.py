@@ -14,6 +14,9 @@ _FILL_RAD = math.radians(3.0)
 """A narrower hole is filled from its neighbours."""
 _HOLE_M = 1.0
 _ALONE_M = 0.3
+_MEDIAN_OF_BENT = 0.6745 * math.sqrt(6.0)
+_NOISE_EVERY = 8
+"""Scans between two looks at how much the ranges err."""
 
 
 class ScanPreprocessor:
@@ -42,11 +45,16 @@ class ScanPreprocessor:
         self._angles: Float32s | None = None
         self._yaw_rad = 0.0
         self._before: Float64s | None = None
+        self._scans = 0
+        self._noise_m = 0.0
 
     def process(self, scan: LidarScan, motion: Motion) -> Scan:
         """The binned scan. Raises ValueError for a scan without a beam in the field of view."""
         if self._angles is not scan.angles_rad or self._yaw_rad != scan.yaw_rad:
             self._lay_out(scan)
+        if self._scans % _NOISE_EVERY == 0:
+            self._noise_m = noise_m(scan.ranges_m)
+        self._scans += 1
         most_m = min(self._range_max_m, scan.range_max_m)
         beams = scan.ranges_m if self._order is None else scan.ranges_m[self._order]
         # the nearest in each bin; nan only where no beam of the bin was measured
@@ -65,8 +73,9 @@ class ScanPreprocessor:
             windows = np.lib.stride_tricks.sliding_window_view(np.pad(ranges, self._median // 2, "edge"), self._median)
             ranges = np.fmin(ranges, np.median(windows, axis=1)).astype(np.float64)
         return Scan(
-            self._bearing, ranges, state, self._unit, self._share, self._step_rad, most_m, scan.x_m, scan.y_m, motion
-        )
+            self._bearing, ranges, state, self._unit, self._share, self._step_rad, most_m, scan.x_m, scan.y_m, motion,
+            self._noise_m,
+        )  # fmt: skip
 
     def _lay_out(self, scan: LidarScan) -> None:
         """Which beams fall into which bin; kept while the lidar hands over the same bearings."""
@@ -95,6 +104,20 @@ class ScanPreprocessor:
         beside = np.minimum(np.append(ranges[1:], ranges[-1]), np.append(ranges[0], ranges[:-1]))
         alone = (ranges < beside - _ALONE_M) & (ranges < before - _ALONE_M)
         return np.where(alone, beside, ranges) if alone.any() else ranges
+
+
+def noise_m(ranges_m: Float32s) -> float:
+    """By how much ranges (n,) err, one sigma: from the median size of their second differences, since walls are smooth.
+
+    Of normal errors it is 0.6745 sqrt(6) sigma. 0 where nothing was measured.
+    """
+    with np.errstate(invalid="ignore"):
+        bent = np.abs((ranges_m[:-2] + ranges_m[2:]) - 2.0 * ranges_m[1:-1])
+    bent = bent[np.isfinite(bent)]
+    if not len(bent):
+        return 0.0
+    middle = len(bent) // 2
+    return float(np.partition(bent, middle)[middle]) / _MEDIAN_OF_BENT
 
 
 def _fill(

@@ -33,6 +33,8 @@ _TIGHT_PM, _OTHER_PM = 0.5, 0.15
 """The margin of the fan covers the corners of the outline in gentler bends than this, and arcs that are no more unlike
 the chosen one; beyond, the outline is followed along the arc that is really steered."""
 _PROMPT_S = 0.03
+_NOISY_M, _NOISE_CAUTION_PM = 0.04, 12.0
+"""Ranges may err by so much; for what is more, so much of the grip a metre is not planned with."""
 _SLOW_MPS = 1.0
 _HAIR_M = 0.005
 _LEAST_MARGIN_M = 0.015
@@ -109,7 +111,7 @@ class PlannerFTG:
             self._outline = replace(self._body, half_width_m=half + side)
         short = config.stop_distance_m + max(v, 0.0) * motion.period_s
         over = min(config.compare_m, max(config.compare_share * (longest - config.stop_distance_m), 0.3))
-        limits = self._limits_after(motion.age_s + motion.period_s)
+        limits = self._limits_after(motion.age_s + motion.period_s, scan.noise_m)
         times, entry2 = self._fan.times_s(free, v, limits, over, short)
         k1 = self._fan.k1_pm
         times += config.keep_s * np.abs(k1 - motion.curvature_pm)
@@ -162,12 +164,15 @@ class PlannerFTG:
         self.frame = (x0, y0, yaw0)
         return x, y
 
-    def _limits_after(self, delay_s: float) -> RaceLimits:
-        """The limits that a command is planned with which is as old as this at its end: it will be a little wrong."""
-        late_s = delay_s - _PROMPT_S
-        if late_s <= 0.0:
+    def _limits_after(self, delay_s: float, noise_m: float) -> RaceLimits:
+        """The limits that a command is planned with which is as old as this at its end: it will be a little wrong.
+
+        And so it will where ranges err by much: the way that is found then changes from scan to scan.
+        """
+        late_s, noisy_m = max(delay_s - _PROMPT_S, 0.0), max(noise_m - _NOISY_M, 0.0)
+        if late_s == 0.0 and noisy_m == 0.0:
             return self._limits
-        share = max(1.0 - self._config.caution_ps * late_s, 0.3)
+        share = max(1.0 - self._config.caution_ps * late_s - _NOISE_CAUTION_PM * noisy_m, 0.3)
         full = self._limits
         return replace(
             full, lateral_mps2=share * full.lateral_mps2, brake_mps2=share * full.brake_mps2,

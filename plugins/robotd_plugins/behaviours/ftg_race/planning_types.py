@@ -62,12 +62,15 @@ class Scan:
     x_m: float = 0.0
     y_m: float = 0.0
     motion: Motion = field(default_factory=Motion)
+    noise_m: float = 0.0
+    """By how much the ranges err, one sigma, as far as the scans show it."""
 
     def mirrored(self) -> Scan:
         """Left for right, so that a planner that prefers a side can be made to prefer none."""
         return Scan(
             -self.bearing_rad[::-1], self.ranges_m[::-1], self.state[::-1], self.unit[:, ::-1] * _FLIP,
             self.share[::-1], self.step_rad, self.range_max_m, self.x_m, -self.y_m, self.motion.mirrored(),
+            self.noise_m,
         )  # fmt: skip
 
 
