@@ -10,8 +10,12 @@ from typing import Any
 
 import pytest
 
+from robotd import Config
 from robotd_plugins.behaviours.ftg_race import FtgRaceConfig
 from robotd_plugins.behaviours.ftg_race.config import SEED_SAFE
+from robotd_plugins.perception.race_track.config import RaceTrackConfig
+from robotd_plugins.perception.track_position.config import TrackPositionConfig
+from robotd_plugins.perception.track_survey.config import TrackSurveyConfig
 
 PAGE = (Path(__file__).resolve().parents[3] / "docs" / "behaviours" / "ftg_race.md").read_text(encoding="utf-8")
 HOME = "robotd_plugins.behaviours.ftg_race"
@@ -37,3 +41,11 @@ def test_what_the_page_names_is_there(name: str) -> None:
     module, _, attribute = name.partition(".")
     if attribute not in ("py", "h", "yaml", "md"):
         assert hasattr(importlib.import_module(f"{HOME}.{module}"), attribute)
+
+
+@pytest.mark.parametrize("config", [TrackSurveyConfig, RaceTrackConfig, TrackPositionConfig])
+def test_the_tables_of_the_perceptors_are_their_configs(config: type[Config]) -> None:
+    section = PAGE.split("## Parameters of the three perceptors", 1)[1].split("\n## ", 1)[0]
+    tables = [re.findall(r"^\| `(\w+)` \| `([^`]*)` \|", part, re.MULTILINE) for part in section.split("| key |")[1:]]
+    assert [(key, written(field.default)) for key, field in config.model_fields.items()] in tables
+    assert len(tables) == 3
