@@ -88,7 +88,10 @@ class Tab:
             raise PageError(f"not within {within_s:g} s: {condition}\n{text}\n{self.complaints}") from None
 
     async def click(self, selector: str) -> None:
-        """Press and release the mouse in the middle of an element, as a person does."""
+        """Press and release the mouse in the middle of an element, as a person does, who first sees the page drawn."""
+        await self.until("document.readyState === 'complete'")
+        # a click before the first picture is thrown away, one before the last style sheet may go beside the element
+        await self.run("new Promise((drawn) => requestAnimationFrame(() => requestAnimationFrame(drawn)))")
         found = f"document.querySelector({json.dumps(selector)})"
         await self.run(f"{found}.scrollIntoView({{block: 'center'}})")
         box = await self.run(f"(({{x, y, width, height}}) => [x, y, width, height])({found}.getBoundingClientRect())")
