@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import asyncio
-from collections import Counter
-from typing import Any
 
 import numpy as np
 import pytest
+from fault_lidar import LidarBench, now_s, off_m
 from fault_matrix import answers
 
-from robotd.authoring.device import Sensor
-from robotd.testing import FakeLink, connected, virtual_time
-from robotd.world.messages import LidarScan
+from robotd.testing import connected, virtual_time
 from robotd_devices.lidar import ld19, ydlidar
 from robotd_devices.lidar.ld19 import Ld19, Ld19Config
-from robotd_devices.lidar.ld19_fake import BoxRoom, Ld19Fake
+from robotd_devices.lidar.ld19_fake import Ld19Fake
 from robotd_devices.lidar.ydlidar import Ydlidar, YdlidarConfig
 from robotd_devices.lidar.ydlidar_fake import YdlidarFake
 from robotd_devices.lidar.ydlidar_talk import RESET, SCAN, STOP
@@ -24,13 +21,10 @@ from robotd_devices.ports.memory_host import MemoryHost, now_ns
 KINDS = pytest.mark.parametrize("kind", ["x4", "scl", "tmini_plus", "ld19"])
 
 
-class Bench:
+class Bench(LidarBench):
     """A driver, its fake and the line between them."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
-        self.fake: Any
-        self.lidar: Sensor[Any, LidarScan]
-        self.link: FakeLink
         if kind == "ld19":
             self.fake, self.samples = Ld19Fake(), 12
             self.line = MemoryHost(self.fake, 230_400)
@@ -43,103 +37,80 @@ class Bench:
             config = YdlidarConfig.model_validate({"port": "/dev/lidar", "model": kind})
             self.lidar, self.link = connected(Ydlidar, config)
 
-    @property
-    def scans(self) -> list[LidarScan]:
-        return self.link.of(LidarScan)
-
-
-def off_m(scan: LidarScan) -> np.ndarray:
-    off: np.ndarray = np.abs(scan.ranges_m - BoxRoom()(scan.angles_rad.astype(np.float64)))
-    return off[np.isfinite(scan.ranges_m)]
-
 
 @KINDS
 @answers(3, "split reads")
-def test_nothing_is_lost_where_every_byte_is_a_read_of_its_own(
+@virtual_time
+async def test_nothing_is_lost_where_every_byte_is_a_read_of_its_own(
     monkeypatch: pytest.MonkeyPatch, kind: str, fault: str
 ) -> None:
     bench = Bench(monkeypatch, kind)
     bench.line.inject(fault)
-
-    @virtual_time
-    async def story() -> None:
-        await bench.lidar.open()
-        await bench.link.received(3)
-        await bench.lidar.close()
-
-    story()
+    await bench.listen(3)
     assert bench.link.faults == []
     assert not any(np.isnan(scan.ranges_m).any() for scan in bench.scans)
 
 
 @KINDS
 @answers(4, "byte lost", "byte added", "bytes twice")
-def test_a_lost_or_added_byte_costs_two_packets_at_most(monkeypatch: pytest.MonkeyPatch, kind: str, fault: str) -> None:
-    check_damage(Bench(monkeypatch, kind), fault, 2)
+@virtual_time
+async def test_a_lost_or_added_byte_costs_two_packets_at_most(
+    monkeypatch: pytest.MonkeyPatch, kind: str, fault: str
+) -> None:
+    await check_damage(Bench(monkeypatch, kind), fault, 2)
 
 
 @KINDS
 @answers(5, "byte changed")
-def test_a_changed_byte_costs_its_packet(monkeypatch: pytest.MonkeyPatch, kind: str, fault: str) -> None:
+@virtual_time
+async def test_a_changed_byte_costs_its_packet(monkeypatch: pytest.MonkeyPatch, kind: str, fault: str) -> None:
     # a changed header may go with the packet before it, which it was to prove
-    check_damage(Bench(monkeypatch, kind), fault, 2)
+    await check_damage(Bench(monkeypatch, kind), fault, 2)
 
 
-def check_damage(bench: Bench, fault: str, most_lost: int) -> None:
-    @virtual_time
-    async def story() -> None:
-        await bench.lidar.open()
-        await bench.link.received(2)
-        for _ in range(6):
-            bench.line.inject(fault)
-            count = len(bench.scans)
-            await bench.link.received(count + 3)
-            fresh = bench.scans[count:]
-            assert sum(int(np.isnan(scan.ranges_m).sum()) for scan in fresh) <= most_lost * bench.samples + 1
-            assert max(float(off_m(scan).max()) for scan in fresh) < 0.05
-        assert len(bench.link.faults) >= 6, "the line was not damaged"
-        assert bench.link.losses == []
-        await bench.lidar.close()
-
-    story()
+async def check_damage(bench: Bench, fault: str, most_lost: int) -> None:
+    await bench.lidar.open()
+    await bench.link.received(2)
+    for _ in range(6):
+        bench.line.inject(fault)
+        count = len(bench.scans)
+        await bench.link.received(count + 3)
+        fresh = bench.scans[count:]
+        assert sum(int(np.isnan(scan.ranges_m).sum()) for scan in fresh) <= most_lost * bench.samples + 1
+        assert max(float(off_m(scan)[np.isfinite(scan.ranges_m)].max()) for scan in fresh) < 0.05
+    assert len(bench.link.faults) >= 6, "the line was not damaged"
+    assert bench.link.losses == []
+    await bench.lidar.close()
 
 
 @answers(6, "still scanning")
-def test_measurements_of_an_earlier_program_hold_up_opening_by_1_2_s_at_most(
+@virtual_time
+async def test_measurements_of_an_earlier_program_hold_up_opening_by_1_2_s_at_most(
     monkeypatch: pytest.MonkeyPatch, fault: str
 ) -> None:
     bench = Bench(monkeypatch, "x4")
-
-    @virtual_time
-    async def story() -> None:
-        bench.fake.inject(fault, now_ns())
-        await asyncio.sleep(0.3)
-        began_s = asyncio.get_running_loop().time()
-        await bench.lidar.open()
-        assert asyncio.get_running_loop().time() - began_s <= 1.2
-        assert bench.fake.requests.index(STOP) < bench.fake.requests.index(SCAN)
-        await bench.link.received(1)
-        assert bench.link.faults == []
-        await bench.lidar.close()
-
-    story()
+    bench.fake.inject(fault, now_ns())
+    await asyncio.sleep(0.3)
+    began_s = now_s()
+    await bench.lidar.open()
+    assert now_s() - began_s <= 1.2
+    assert bench.fake.requests.index(STOP) < bench.fake.requests.index(SCAN)
+    await bench.link.received(1)
+    assert bench.link.faults == []
+    await bench.lidar.close()
 
 
 @answers(7, "health warning", "health error")
-def test_health_is_told_and_an_error_reset_once_within_3_s(monkeypatch: pytest.MonkeyPatch, fault: str) -> None:
+@virtual_time
+async def test_health_is_told_and_an_error_reset_once_within_3_s(monkeypatch: pytest.MonkeyPatch, fault: str) -> None:
     bench = Bench(monkeypatch, "x4")
     bench.fake.inject(fault)
-
-    @virtual_time
-    async def story() -> None:
-        await bench.lidar.open()
-        assert asyncio.get_running_loop().time() <= 3.0
-        assert bench.fake.requests.count(RESET) == (1 if fault == "health error" else 0)
-        assert Counter(name for name, _ in bench.link.faults) == {fault: 1}
-        await bench.link.received(1)
-        await bench.lidar.close()
-
-    story()
+    await bench.lidar.open()
+    assert now_s() <= 3.0
+    assert bench.fake.requests.count(RESET) == (1 if fault == "health error" else 0)
+    assert bench.faults == {fault: 1}
+    await bench.link.received(1)
+    await bench.lidar.close()
 
 
 @answers(1, "head stalls")
