@@ -161,6 +161,17 @@ def test_with_its_wheels_at_their_stop_it_hardly_speeds_up() -> None:
     assert abs(command.steering_rad) > 0.4189 and command.speed_mps == pytest.approx(2.45)
 
 
+@pytest.mark.parametrize(("at", "faster"), [(0.75, True), (0.85, False)])
+def test_with_its_wheels_near_their_stop_it_hardly_speeds_up(
+    monkeypatch: pytest.MonkeyPatch, at: float, faster: bool
+) -> None:
+    """Or it runs wide into the wall that it has just backed off from."""
+    most_rad = F1TENTH.kinematics.max_steering_rad  # type: ignore[union-attr]
+    monkeypatch.setattr(PlannerFTG, "steered_rad", lambda *_: at * most_rad)
+    command = planned(corridor(ahead_m=9.0), Motion(1.5, 0.0, period_s=0.025))
+    assert (command.speed_mps > 2.0) is faster
+
+
 def test_the_outline_matters_and_not_the_lidars_place() -> None:
     """The same room, seen from the nose and from the middle, gives almost the same command."""
     commands = [

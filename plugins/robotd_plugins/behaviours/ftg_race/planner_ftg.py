@@ -41,7 +41,7 @@ _LEAST_MARGIN_M = 0.015
 _INSIDE_M = 0.08
 """Farther inside its outline a slow car takes what it sees for real."""
 _CREEP_MPS = 0.6
-_AT_STOP_MPS = 0.15
+_AT_STOP, _AT_STOP_MPS = 0.8, 0.15
 _DEEP, _DEEP_MPS = 0.4, 1.5
 _NEAR_M = 0.03
 """Clearance of the real outline on the way that is steered."""
@@ -127,8 +127,8 @@ class PlannerFTG:
         if longest <= config.stop_distance_m or swept < _LEAST_FREE_M:
             return Command(0.0, steering_rad(curvature, 0.0, self._body, 0.0), curvature, longest, is_blocked=True)
         angle = self.steered_rad(curvature, motion, wanted)
-        if abs(angle) > self._body.max_steering_rad and v > _SLOW_MPS:
-            # the wheels are at their stop: speeding up lifts the front, and nothing is left to make up for it
+        if abs(angle) > _AT_STOP * self._body.max_steering_rad and v > _SLOW_MPS:
+            # the wheels are near their stop: speeding up lifts the front, and little is left to make up for it
             wanted = min(wanted, v + _AT_STOP_MPS)
         return Command(wanted, angle, curvature, float(free[best]))
 
