@@ -5,23 +5,22 @@ from __future__ import annotations
 import gc
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from statistics import median
 from typing import Any, ClassVar
 
 import numpy as np
 
-from benches import race_cases, race_runs
+from benches import race_cases, race_learned, race_runs
 from benches.harness import Bench, Context, Figure
 from benches.race_drivers import Behaving
 from benches.race_plant import Conditions, Ground, Race
 from benches.race_reference import PlainFollowTheGap
+from benches.race_runs import Job
 from benches.race_tracks import EVANS, SEEDS, evans, procedural
 from robotd.world.messages import LidarScan, Odometry
 from robotd_devices.sim.single_track import F1TENTH
-
-Job = tuple[str, Callable[[], dict[str, Any]]]
 
 
 class RaceBench(Bench):
@@ -61,6 +60,7 @@ class RaceBench(Bench):
         Figure("plan_us_p50", "us", "<= 200", "perception to command, 1081 beams, beside the plain follow-the-gap"),
         Figure("plan_us_p99", "us", "<= 500", "the same"),
         Figure("plan_growth", "x", "<= 1.1", "last tenth of many calls over the first"),
+        *race_learned.FIGURES,
     )
 
     def run(self, ctx: Context) -> None:
@@ -79,6 +79,7 @@ class RaceBench(Bench):
         self._learned(ctx)
         self._same_scans(ctx)
         self._plan_times(ctx)
+        race_learned.figures(ctx)
 
     def _jobs(self, ctx: Context) -> Iterator[Job]:
         quick, data = ctx.quick, ctx.data
@@ -115,6 +116,7 @@ class RaceBench(Bench):
                 f"box {seed}",
                 lambda s=seed: {"what": "box", **race_cases.appearing_box(F1TENTH, s, 8.0, Conditions())},
             )
+        yield from race_learned.jobs(quick, tracks, data)
 
     # ----------------------------------------------------------------------------------------------- figures
 
@@ -128,7 +130,7 @@ class RaceBench(Bench):
 
     def _laps(self, ctx: Context) -> None:
         rows = ctx.rows.all
-        counted = [r for r in rows if r["what"] in ("first", "laps", "reactive", "random", "wall", "box")]
+        counted = [r for r in rows if r["what"] not in ("plain", "seed", "ab")]
         ctx.figure("collisions", sum(bool(r.get("crashed")) for r in counted), runs=len(counted))
         ctx.figure("stuck", sum(bool(r.get("stuck")) for r in counted), runs=len(counted))
         ctx.figure("unfinished", sum(bool(r.get("unfinished")) for r in counted), runs=len(counted))
@@ -176,7 +178,7 @@ class RaceBench(Bench):
         ctx.figure("lap3_gain", min(gains.values(), default=None), runs=len(gains), why=why)
         if gains:
             ctx.note(f"lap3_gain: median {median(gains.values()):.3f}; {told}")
-        learned = [r for r in rows if r.get("line")]
+        learned = [r for r in rows if r["what"] == "laps" and r.get("line")]
         if learned:
             ctx.figure("line_share", min(r["line"]["share"] for r in learned), runs=len(learned))
             ctx.figure("perceptors_us_p50", median(r["line"]["perceptors_us"][0] for r in learned), runs=len(learned))

@@ -18,6 +18,14 @@ AWAY_M, AWAY_MPS, WITHIN_S = 1.5, 1.0, 8.0
 """Racing again: so far from where it stood, at so much speed, within so long."""
 _ROOM_S = 0.1
 """Of a command until servo, motor and tyres have answered."""
+BOX_HALF_M = 0.15
+
+
+def stopping_m(car: RaceCar, conditions: Conditions, speed_mps: float) -> float:
+    """How far a car goes until it stands for something that appears: scan, latency and answer, then 0.583 mu g."""
+    brake = 0.583 * (conditions.mu if conditions.mu is not None else car.mu) * GRAVITY_MPS2
+    wait_s = 1.0 / conditions.rate_hz + conditions.latency_s + _ROOM_S
+    return speed_mps * wait_s + speed_mps * speed_mps / (2.0 * brake)
 
 
 def nose_to_wall(ground: Ground, car: RaceCar, seed: int, **keys: Any) -> dict[str, Any]:
@@ -64,18 +72,16 @@ def appearing_box(car: RaceCar, seed: int, top_mps: float, conditions: Condition
     ground = Ground(straight())
     speed = rng.uniform(2.0, top_mps)
     conditions = replace(conditions, seed=seed)
-    brake = 0.583 * (conditions.mu if conditions.mu is not None else car.mu) * GRAVITY_MPS2
-    wait_s = 1.0 / conditions.rate_hz + conditions.latency_s + _ROOM_S
     front = car.footprint_m()[0][0]
     appear_m = 6.0
-    box_x = appear_m + front + speed * wait_s + speed * speed / (2.0 * brake) + rng.uniform(0.0, 1.0) + 0.15
+    box_x = appear_m + front + stopping_m(car, conditions, speed) + rng.uniform(0.0, 1.0) + BOX_HALF_M
     box_y = rng.uniform(-0.6, 0.6)
     driver = Behaving(car, v_max_mps=speed, **keys)
     there = [False]
 
     def watch(now_s: float, pose: tuple[float, float, float], track: RaceTrack) -> None:
         if not there[0] and pose[0] >= appear_m:
-            ground.add_box(box_x, box_y, 0.15)
+            ground.add_box(box_x, box_y, BOX_HALF_M)
             there[0] = True
 
     start = (1.0, 0.0, 0.0)

@@ -23,6 +23,8 @@ _NUMBER = re.compile(r"-?\d+(\.\d+)?")
 SOLVE_S = 3.0
 """The survey is a track and a line so much later, as the perceptor declares for virtual time."""
 
+_SHARED = ("v_max_mps", "mu")
+
 TT02D_KEYS: dict[str, Any] = {
     "v_max_mps": 5.0,
     "mu": 0.85,
@@ -44,11 +46,14 @@ def robot_of(car: RaceCar) -> Robot:
 
 
 class Learning:
-    """The three perceptors of lap 2, called in the runtime's order; what is solved appears `late_s` later."""
+    """The three perceptors of lap 2, called in the runtime's order; what is solved appears `late_s` later.
 
-    def __init__(self, robot: Robot, late_s: float = SOLVE_S) -> None:
+    keys: of the perceptor `race_track`.
+    """
+
+    def __init__(self, robot: Robot, late_s: float = SOLVE_S, **keys: Any) -> None:
         self._survey = track_survey.TrackSurveyor(track_survey.TrackSurveyConfig(), robot)
-        self._learn = race_track.RaceTrackLearner(race_track.RaceTrackConfig(), robot)
+        self._learn = race_track.RaceTrackLearner(race_track.RaceTrackConfig(**keys), robot)
         self._position = track_position.TrackPosition(track_position.TrackPositionConfig(), robot)
         self._late_ns = round(late_s * NS)
         self._waiting: list[tuple[int, RaceTrack]] = []
@@ -78,7 +83,8 @@ class Learning:
 class Behaving:
     """A driver made of the behaviour; keeps how long each step took, in microseconds of this thread's CPU.
 
-    learn: with the perceptors of lap 2; without, the car races by follow-the-gap for ever.
+    learn: with the perceptors of lap 2; without, the car races by follow-the-gap for ever. What `keys` say of the top
+    speed and the floor is said to the line's perceptor too, as in the shipped configs.
     """
 
     ticks = True
@@ -87,11 +93,19 @@ class Behaving:
         if car is TT02D:
             keys = {**TT02D_KEYS, **keys}
         self.behaviour = FtgRace(FtgRaceConfig(**keys), None, robot_of(car))
-        self.learning = Learning(robot_of(car)) if learn else None
+        shared = {key: value for key, value in keys.items() if key in _SHARED}
+        self.learning = Learning(robot_of(car), **shared) if learn else None
+        self.views: list[Sees] | None = None
+        """Where a list is put here, each view is kept in it."""
         self.took_us: list[float] = []
         self.failed = ""
         self._scan: LidarScan | None = None
         self._by: Counter[str] = Counter()
+
+    @property
+    def is_on_line(self) -> bool:
+        """Whether the last command was one on the learned line."""
+        return self.behaviour.driven_by == LINE
 
     def line_told(self) -> dict[str, Any]:
         """Since there is a line: the share of steps driven on it, why the others were not, and what the rest costs."""
@@ -112,6 +126,8 @@ class Behaving:
             self.learning.step(scan, odometry, now_ns, is_new)
             learned = {"track": self.learning.track, "located": self.learning.located}
         seen = Sees.assemble(now_ns, {"scan": scan, "odometry": odometry, **learned})
+        if self.views is not None:
+            self.views.append(seen)
         begin = time.thread_time_ns()
         result = self.behaviour.step(seen)
         if is_new:

@@ -9,7 +9,7 @@ the clearance before it was larger than what the car can have moved since is not
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -34,6 +34,8 @@ class Ground:
         from scipy.ndimage import distance_transform_edt
 
         self.track = track
+        self.changes = 0
+        """So often something was put on the track."""
         occupied = np.pad(track.occupied, 1, constant_values=True)
         self._cells = distance_transform_edt(~occupied).astype(np.float32)
         self._flat = self._cells.ravel()
@@ -43,14 +45,20 @@ class Ground:
 
     def add_box(self, x_m: float, y_m: float, half_m: float) -> None:
         """A square obstacle from now on."""
+        self.add_boxes([(x_m, y_m)], half_m)
+
+    def add_boxes(self, at_m: Iterable[tuple[float, float]], half_m: float) -> None:
+        """Square obstacles from now on, their sides along the map's axes."""
         from scipy.ndimage import distance_transform_edt
 
         free = self._cells > 0.0
-        c0, c1 = (int((x_m + s * half_m - self._low[0]) * self._per_m) for s in (-1, 1))
-        r0, r1 = (int((y_m + s * half_m - self._low[1]) * self._per_m) for s in (-1, 1))
-        free[max(r0, 0) : r1 + 1, max(c0, 0) : c1 + 1] = False
+        for x_m, y_m in at_m:
+            c0, c1 = (int((x_m + s * half_m - self._low[0]) * self._per_m) for s in (-1, 1))
+            r0, r1 = (int((y_m + s * half_m - self._low[1]) * self._per_m) for s in (-1, 1))
+            free[max(r0, 0) : r1 + 1, max(c0, 0) : c1 + 1] = False
         self._cells = distance_transform_edt(free).astype(np.float32)
         self._flat = self._cells.ravel()
+        self.changes += 1
 
     def ranges_m(self, x_m: Floats | float, y_m: Floats | float, bearing_rad: Floats, most_m: float) -> Floats:
         """Range of each ray (n,), inf beyond `most_m`. Steps are the distance less one cell, so no wall is jumped."""
@@ -157,6 +165,8 @@ class Race:
         self.ground, self.car, self.conditions = ground, car, conditions
         self.at_m = 0.0
         """Where base is, along x of the map."""
+        self.progress_m = 0.0
+        """Driven along the middle line, at the step before."""
         self._rng = np.random.default_rng(conditions.seed)
         shares = np.linspace(-0.5, 0.5, conditions.beams)
         self._angles = (shares * conditions.fov_rad).astype(np.float32)
@@ -170,6 +180,8 @@ class Race:
         middle = ground.track.middle_m
         ring = np.vstack((middle, middle[:1]))
         self._way = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(ring, axis=0).T))))
+        self.length_m = float(self._way[-1])
+        """Of a lap along the middle line."""
         self._middle = middle
         self._xs, self._ys = middle[:, 0].tolist(), middle[:, 1].tolist()
 
@@ -196,7 +208,7 @@ class Race:
         now, next_scan = 0, 0
         at = self._nearest_anywhere(x, y)
         here, progress, best, best_at, lap_from = self._way[at], 0.0, 0.0, 0, 0
-        free = 0.0
+        free, changes = 0.0, ground.changes
         over = steps = 0
         ticks, newest = bool(getattr(driver, "ticks", False)), None
         tick_ns, next_tick = NS // TICKS_HZ, NS // TICKS_HZ
@@ -204,7 +216,7 @@ class Race:
         steer_was, turned, sum_v = 0.0, 0.0, 0.0
         poses = [(x, y, yaw)]
         keep = period // step_ns + 2
-        length = self._way[-1]
+        length = self.length_m
         while now < limit_s * NS:
             while next_scan <= now:
                 queue.append((next_scan + late, self._scan(poses, period, next_scan)))
@@ -232,6 +244,8 @@ class Race:
                 del poses[:-keep]
             if on_step is not None:
                 on_step(now / NS, (x, y, yaw), track)
+            if ground.changes != changes:
+                free, changes = 0.0, ground.changes
             v = track.vx_mps
             lateral = abs(v * track.wz_radps)
             over += lateral > grip
@@ -252,6 +266,7 @@ class Race:
             gain = (self._way[at] - here + length / 2.0) % length - length / 2.0
             here = self._way[at]
             progress += gain
+            self.progress_m = progress
             if progress > best + 0.05:
                 best, best_at = progress, now
             elif now - best_at > 10 * NS:

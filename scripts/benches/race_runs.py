@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from benches.race_tracks import EVANS, Track, evans, procedural
 from robotd_devices.sim.single_track import F1TENTH, TT02D, RaceCar
 
 Row = dict[str, Any]
+Job = tuple[str, Callable[[], Row]]
 TOP_MPS = {"f1tenth": 8.0, "tt02d": 5.0}
 CARS: dict[str, RaceCar] = {"f1tenth": F1TENTH, "tt02d": TT02D}
 PUBLISHED_S = {"esp": 45.78, "gbr": 39.34, "mco": 34.99}
@@ -96,20 +98,34 @@ def random_lap(seed: int, tracks: list[str], data: Path) -> Row:
     rng = random.Random(f"lap {seed}")
     name = rng.choice(tracks)
     back = rng.random() < 0.5
-    mu = rng.choice((0.7, 1.05))
-    conditions = Conditions(
-        rate_hz=rng.choice((10.0, 25.0, 40.0)), latency_s=rng.choice((0.0, 0.03, 0.06)),
-        noise_m=rng.choice((0.01, 0.03, 0.05)), dropout=rng.choice((0.0, 0.1)), mu=mu, seed=seed,
-    )  # fmt: skip
+    conditions = random_conditions(rng, seed)
+    mu = conditions.mu
+    assert mu is not None
     here = ground(name, data, back)
     start = here.track.pose(rng.uniform(0.0, here.track.length_m))
     start = _base_at(start)
     run = Race(here, F1TENTH, conditions).drive(Behaving(F1TENTH, mu=min(mu, 1.0489)), 1, start, limit_s=300.0)
     limit_s = _limit(name, back, mu, data)
     return {
-        "what": "random", "seed": seed, "track": name, "back": back, "rate_hz": conditions.rate_hz,
-        "latency_s": conditions.latency_s, "noise_m": conditions.noise_m, "dropout": conditions.dropout, "mu": mu,
+        "what": "random", "seed": seed, "track": name, "back": back, **told(conditions),
         **row_of(run, 1), "limit_s": limit_s,
+    }  # fmt: skip
+
+
+def random_conditions(rng: random.Random, seed: int) -> Conditions:
+    """Rate, latency, noise, dropout and friction, drawn in the order in which they always were."""
+    mu = rng.choice((0.7, 1.05))
+    return Conditions(
+        rate_hz=rng.choice((10.0, 25.0, 40.0)), latency_s=rng.choice((0.0, 0.03, 0.06)),
+        noise_m=rng.choice((0.01, 0.03, 0.05)), dropout=rng.choice((0.0, 0.1)), mu=mu, seed=seed,
+    )  # fmt: skip
+
+
+def told(conditions: Conditions) -> Row:
+    """Of drawn conditions, for a row."""
+    return {
+        "rate_hz": conditions.rate_hz, "latency_s": conditions.latency_s, "noise_m": conditions.noise_m,
+        "dropout": conditions.dropout, "mu": conditions.mu,
     }  # fmt: skip
 
 
