@@ -26,6 +26,10 @@ _BLINDEST = 0.1
 """A box behind a bend stands where, of all places, the car sees it so late."""
 _ROOM_M = 0.65
 """Beside a box that may be passed: the car, what it keeps beside itself, and a little."""
+_SHORT_S = 1.0
+"""The line counts as driven towards a box until so long before it counts; then it may have been seen."""
+_NEAR_M = 2.0
+"""A box that stands counts from here at the latest, however slowly the car comes."""
 _GONE_BY_M, _AFTER_S, _LAPS = 2.0, 12.0, 7
 
 
@@ -127,7 +131,7 @@ def chosen(found: list[Place], lap: Lap, at_m: float, stands: bool, rng: random.
     return rng.choice(ahead) if ahead else None
 
 
-class _Watch:
+class Watch:
     """Lets the car learn, drive one lap on its line, and puts the box on its way in the next."""
 
     def __init__(self, race: Race, driver: Behaving, rng: random.Random, stands: bool, blocks: bool) -> None:
@@ -142,9 +146,11 @@ class _Watch:
         self.told: dict[str, Any] = {}
         """Of the instant from which the box counts."""
         self.passed = self.stood = False
-        self._until_s = math.inf
+        self._on_line_s = -math.inf
 
     def step(self, now_s: float, pose: tuple[float, float, float], track: RaceTrack) -> None:
+        if self.driver.is_on_line:
+            self._on_line_s = now_s
         if self._found is None:
             self._record(pose, track)
             return
@@ -158,7 +164,8 @@ class _Watch:
         way = (float(self._lap.way_m[self.place.point]) - here) % length
         if not self.told:
             gap = way - self.race.car.footprint_m()[0][0] - self.place.half_m
-            if gap <= stopping_m(self.race.car, self.race.conditions, track.vx_mps) + self._spare_m:
+            needed = stopping_m(self.race.car, self.race.conditions, track.vx_mps) + self._spare_m
+            if gap <= (max(needed, _NEAR_M) if self.stands else needed):
                 self._count(now_s, pose, track, gap)
             return
         self.passed |= _GONE_BY_M < length - way < _NEAREST_M
@@ -193,7 +200,7 @@ class _Watch:
                 return
             self._put(self.place)
         self.told = {
-            "s": now_s, "speed_mps": track.vx_mps, "gap_m": gap_m, "on_line": self.driver.is_on_line,
+            "s": now_s, "speed_mps": track.vx_mps, "gap_m": gap_m, "on_line": now_s - self._on_line_s < _SHORT_S,
             "seen_m": self.place.seen_m, "seen_part_m": self.place.seen_part_m, "needed_m": self.place.needed_m,
             "box": box,
         }  # fmt: skip
@@ -219,7 +226,7 @@ def box_on_the_line(ground: Ground, car: RaceCar, seed: int, **keys: Any) -> dic
     stands, blocks = seed % 3 == 0, rng.random() < 0.5
     race = Race(copy.copy(ground), car, Conditions(seed=seed))
     driver = Behaving(car, learn=True, **keys)
-    watch = _Watch(race, driver, rng, stands, blocks)
+    watch = Watch(race, driver, rng, stands, blocks)
     run = race.drive(driver, _LAPS + 3, limit_s=_LAPS * 300.0, stop_when=watch.over, on_step=watch.step)
     return {
         "stands": stands, "blocks": blocks, **watch.told, "passed": watch.passed, "stood": watch.stood,

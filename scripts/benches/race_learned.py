@@ -116,7 +116,7 @@ def _boxes(ctx: Context, rows: list[Row]) -> None:
     placed = [r for r in rows if "box" in r]
     on, passed = sum(r["on_line"] for r in placed), sum(r["passed"] for r in placed)
     ctx.note(
-        f"learned_box_contacts: {len(placed)} of {len(rows)} boxes came to count, {on} while the line was driven; "
+        f"learned_box_contacts: {len(placed)} of {len(rows)} boxes came to count, {on} before a car on its line; "
         f"{passed} passed, {sum(r['stood'] and not r['passed'] for r in placed)} stood before"
     )
 

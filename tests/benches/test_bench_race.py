@@ -20,11 +20,12 @@ sys.path.insert(0, str(ROOT / "scripts"))
 
 from benches.harness import Context, Rows  # noqa: E402
 from benches.race import BENCH  # noqa: E402
-from benches.race_boxes import Lap, Place, chosen, places, seen_parts  # noqa: E402
+from benches.race_boxes import Lap, Place, Watch, chosen, places, seen_parts  # noqa: E402
 from benches.race_cases import BOX_HALF_M, stopping_m, straight  # noqa: E402
 from benches.race_drivers import Behaving  # noqa: E402
 from benches.race_learned import _boxes, _random, jobs  # noqa: E402
 from benches.race_plant import Conditions, Ground, Race  # noqa: E402
+from benches.race_tracks import procedural  # noqa: E402
 
 MPS = 4.0
 
@@ -100,6 +101,38 @@ def test_which_place_is_chosen(stands: bool, points: set[int]) -> None:
 @pytest.mark.parametrize("stands", [True, False])
 def test_no_place_ahead_is_none(stands: bool) -> None:
     assert chosen([], corridor(), 1.0, stands, random.Random(1)) is None
+
+
+class OnLine(Behaving):
+    """Follow-the-gap that is taken for a car on its line."""
+
+    @property
+    def is_on_line(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize(("stands", "blocks"), [(False, True), (True, False)])
+def test_after_a_lap_a_box_is_in_the_way(stands: bool, blocks: bool) -> None:
+    here = Ground(procedural(3))
+    conditions = Conditions(rate_hz=20.0, beams=361)
+    race, driver = Race(here, F1TENTH, conditions), OnLine()
+    watch = Watch(race, driver, random.Random(5), stands, blocks)
+    put_s: list[float] = []
+
+    def step(now_s: float, pose: tuple[float, float, float], track: Any) -> None:
+        watch.step(now_s, pose, track)
+        if here.changes and not put_s:
+            put_s.append(now_s)
+
+    run = race.drive(driver, 3, limit_s=60.0, stop_when=watch.over, on_step=step)
+    told = watch.told
+    assert (run.crashed, len(run.laps_s)) == ("", 1)
+    assert told["on_line"] and told["gap_m"] > 0.3
+    assert (put_s[0] < told["s"]) is stands
+    assert watch.passed is not blocks and (watch.stood or not blocks)
+    if not stands:
+        needed = stopping_m(F1TENTH, conditions, told["speed_mps"])
+        assert needed - 0.1 < told["gap_m"] < needed + 1.0
 
 
 # ------------------------------------------------------------------------------------------------ the plant
