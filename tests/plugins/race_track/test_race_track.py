@@ -14,11 +14,13 @@ from race_laps import CAR, Lap
 
 from robotd.testing import check_perceptor
 from robotd.world.geometry import compose, inverse
-from robotd.world.messages import Float64s
+from robotd.world.messages import Float32s, Float64s
 from robotd_plugins.behaviours.ftg_race.body import body_of
 from robotd_plugins.perception.race_track import RaceTrackConfig, RaceTrackLearner, Sees, learn
+from robotd_plugins.perception.race_track.closing import closed_again
 from robotd_plugins.perception.race_track.field import distance_field
 from robotd_plugins.perception.race_track.learn import lap_of
+from robotd_plugins.perception.race_track.rays import Rays
 from robotd_plugins.perception.race_track.register import Surface, register
 from robotd_plugins.perception.track_position.walls import FieldWalls
 from robotd_plugins.toolkit.race_track import RaceTrack, TrackSurvey
@@ -53,11 +55,27 @@ def test_registered_key_frames_stand_where_an_odometry_with_more_drift_brings_th
     assert np.percentile(np.abs(error[:, 2]), 95) < 0.01
 
 
-@pytest.mark.parametrize("along_m", [1.0, -1.5, 3.0])
+@pytest.mark.parametrize("along_m", [0.0, 1.0, -1.5, 2.5])
+def test_a_lap_that_was_closed_a_little_off_is_closed_where_it_meets_itself(
+    survey: TrackSurvey, along_m: float
+) -> None:
+    x, y, yaw = survey.closing
+    again = closed_again(replace(survey, closing=(x + along_m, y - 0.1, yaw + 0.05))).closing
+    assert math.dist(again[:2], (x, y)) < 0.05 and abs(again[2] - yaw) < 0.01
+
+
+@pytest.mark.parametrize("along_m", [5.0, -5.0, 8.0])
 def test_a_lap_that_was_closed_in_the_wrong_place_makes_no_track(survey: TrackSurvey, along_m: float) -> None:
     x, y, yaw = survey.closing
     with pytest.raises(ValueError, match="does not fit on itself"):
         learn(replace(survey, closing=(x + along_m, y, yaw)), RaceTrackConfig(), BODY)
+
+
+@pytest.mark.parametrize(("early", "late"), [(0, 30), (3, 40), (8, 45)])
+def test_two_key_frames_of_different_places_make_no_track(survey: TrackSurvey, early: int, late: int) -> None:
+    wrong = replace(survey, closed_key=early, closing_key=late, closing=(0.0, 0.0, 0.0))
+    with pytest.raises(ValueError, match="does not fit on itself"):
+        learn(wrong, RaceTrackConfig(), BODY)
 
 
 # ------------------------------------------------------------------------------------------------ field
@@ -95,6 +113,31 @@ def test_room_beyond_a_wall_that_nobody_drove_in_is_not_free() -> None:
     field, origin = distance_field(both, path, 0.05, 2.0)
     row, column = (int((2.0 * axis - low) / 0.05) for axis, low in ((0.0, origin[1]), (1.0, origin[0])))
     assert field[row, column] < 0.0
+
+
+def test_what_was_looked_through_is_free_whatever_a_normal_says() -> None:
+    """One return whose normal is wrong, as at a sharp corner, and beams that pass in front of it."""
+    surface, path = ring_walls(3.0, 2.0 + 3.0)
+    normals = surface.normals.copy()
+    wrong = np.hypot(surface.points_m[:, 0] - 3.0, surface.points_m[:, 1]) < 0.1
+    normals[wrong] = -normals[wrong]
+    bad = Surface(surface.points_m, normals)
+    beams = np.stack(np.meshgrid(np.arange(3.2, 4.8, 0.05), np.arange(-0.5, 0.5, 0.05)), axis=-1).reshape(-1, 2)
+    x = np.array([3.3, 3.7, 3.9])
+
+    def at(field: Float32s, origin: tuple[float, float]) -> Float32s:
+        found: Float32s = field[int(-origin[1] / 0.05), ((x - origin[0]) / 0.05).astype(int)]
+        return found
+
+    assert (at(*distance_field(bad, path, 0.05, 2.0)) < 0.0).all()
+    assert np.allclose(at(*distance_field(bad, path, 0.05, 2.0, beams)), [0.3, 0.7, 0.9], atol=0.06)
+
+
+def test_beams_are_looked_along_as_far_as_their_end() -> None:
+    rays = Rays(np.array([0, 1, 2]), np.zeros((3, 2)), np.array([[1.05, 0.0], [0.0, 2.05], [0.2, 0.0]]))
+    ray, at = rays.points(0.1, 0.3)
+    assert np.bincount(ray, minlength=3).tolist() == [7, 17, 0]
+    assert np.allclose(at[ray == 0], np.column_stack((np.arange(0.05, 0.7, 0.1), np.zeros(7))))
 
 
 def test_no_walls_are_refused() -> None:
@@ -167,7 +210,7 @@ def test_one_lap_is_cut_out_of_a_longer_one(beyond: int, last: int) -> None:
 
 def test_a_survey_that_makes_no_track_publishes_none(survey: TrackSurvey) -> None:
     learner, (x, y, yaw) = RaceTrackLearner(RaceTrackConfig(), CAR), survey.closing
-    wrong = replace(survey, closing=(x + 3.0, y, yaw))
+    wrong = replace(survey, closing=(x + 6.0, y, yaw))
     assert learner.step(Sees(now_ns=survey.stamp_ns, survey=wrong)) is None
     assert "fit on itself" in str(learner.explain())
 

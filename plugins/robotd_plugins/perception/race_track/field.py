@@ -17,16 +17,22 @@ _ROUND_M: Final = 3.0
 _AWAY_M: Final = 4.0
 """No distance is greater."""
 _NEAREST: Final = 4
+_SEEN_LEAST: Final = 3
+"""So many points on beams in a cell and the eight about it: it was looked through,"""
+_SEEN_M: Final = 0.1
+"""and is free, however walls look at it, if it is so far from any."""
 _BESIDE_M: Final = 0.15
 """A wall goes on beside its last point for so much."""
 
 
 def distance_field(
-    walls: Surface, path_m: Float64s, resolution_m: float, reach_m: float
+    walls: Surface, path_m: Float64s, resolution_m: float, reach_m: float, seen_m: Float64s | None = None
 ) -> tuple[Float32s, tuple[float, float]]:
     """Signed distances float32 (rows, columns) as in `RaceTrack`, and the origin.
 
-    path_m: (n, 2), the driven way; the grid ends `reach_m` beside it. Raises ValueError where there are no walls there.
+    path_m: (n, 2), the driven way; the grid ends `reach_m` beside it. seen_m: (k, 2), points that beams have passed on
+    their way to a return: at a sharp corner no normal tells which side of it is the track. Raises ValueError where
+    there are no walls there.
     """
     from scipy.ndimage import distance_transform_edt
     from scipy.spatial import cKDTree
@@ -52,6 +58,8 @@ def distance_field(
     band = np.flatnonzero(away.ravel() < _BAND_M)
     middle = np.stack((band % columns, band // columns), axis=1) + 0.5
     field.ravel()[band] = _exact(cKDTree(points), points, normals, low + resolution_m * middle)
+    if seen_m is not None:
+        field = _free_where_looked_through(field, seen_m, low, resolution_m)
     field = _only_what_was_seen(field, path_m, low, resolution_m)
     return field.astype(np.float32), (float(low[0]), float(low[1]))
 
@@ -69,6 +77,18 @@ def _exact(tree: object, points: Float64s, normals: Float64s, cells: Float64s) -
     ends = beside[:, 0] > np.maximum(_BESIDE_M, np.abs(across[:, 0]))
     found: Float64s = np.where(ends, np.copysign(size[:, 0], across[:, 0]), plane)
     return found
+
+
+def _free_where_looked_through(field: Float64s, seen_m: Float64s, low: Float64s, resolution_m: float) -> Float64s:
+    """Cells that beams have passed, positive."""
+    from scipy.ndimage import uniform_filter
+
+    rows, columns = field.shape
+    column, row = ((seen_m - low) / resolution_m).astype(np.intp).T
+    inside = (seen_m > low).all(axis=1) & (column < columns) & (row < rows)
+    count = np.bincount(row[inside] * columns + column[inside], minlength=field.size).reshape(field.shape)
+    about = uniform_filter(count.astype(np.float32), 3, mode="constant") * 9.0
+    return np.where((about > _SEEN_LEAST - 0.5) & (field < -_SEEN_M), -field, field)
 
 
 def _only_what_was_seen(field: Float64s, path_m: Float64s, low: Float64s, resolution_m: float) -> Float64s:

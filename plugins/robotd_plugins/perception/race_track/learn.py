@@ -11,13 +11,17 @@ from robotd.world.messages import Float64s
 from robotd_plugins.behaviours.ftg_race.body import Body
 from robotd_plugins.behaviours.ftg_race.commanding import GRAVITY_MPS2
 from robotd_plugins.behaviours.ftg_race.line import LineLimits, WallField, learned_line
+from robotd_plugins.perception.race_track.closing import closed_again
 from robotd_plugins.perception.race_track.config import RaceTrackConfig
 from robotd_plugins.perception.race_track.doubt import contradicted_share
 from robotd_plugins.perception.race_track.field import distance_field
+from robotd_plugins.perception.race_track.rays import rays_of
 from robotd_plugins.perception.race_track.register import register, surface
 from robotd_plugins.toolkit.race_track import RaceTrack, TrackSurvey
 
 _BEHIND_M = 0.2
+_STEP_M, _SHORT_M = 0.05, 0.3
+"""A beam has shown to be free what lies on its way, but for its end: returns beside its own are wall too."""
 
 
 def learn(survey: TrackSurvey, config: RaceTrackConfig, body: Body) -> RaceTrack:
@@ -25,9 +29,12 @@ def learn(survey: TrackSurvey, config: RaceTrackConfig, body: Body) -> RaceTrack
 
     Raises ValueError with a sentence where the survey makes no map.
     """
+    survey = closed_again(survey)
     poses = register(survey)
-    distance_m, origin_m = distance_field(surface(survey, poses), poses[:, :2], config.resolution_m, config.reach_m)
-    contradicted = contradicted_share(survey, poses, distance_m, config.resolution_m, origin_m)
+    walls, rays = surface(survey, poses), rays_of(survey, poses)
+    ray, seen_m = rays.points(_STEP_M, _SHORT_M)
+    distance_m, origin_m = distance_field(walls, poses[:, :2], config.resolution_m, config.reach_m, seen_m)
+    contradicted = contradicted_share(rays, ray, seen_m, walls, distance_m, config.resolution_m, origin_m)
     if contradicted > config.contradicted_share_max:
         raise ValueError(
             f"the surveyed lap does not fit on itself: {100.0 * contradicted:.0f} % of one key frame's beams would "

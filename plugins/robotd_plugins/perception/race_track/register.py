@@ -40,13 +40,11 @@ def register(survey: TrackSurvey) -> Float64s:
     poses = _closed(survey)
     every = max(1, math.ceil(len(survey.key) / _TIED_MOST))
     points, key = survey.points_m[::every].astype(np.float64), survey.key[::every].astype(np.intp)
-    lidar = np.array([survey.lidar_x_m, survey.lidar_y_m])
     steps = _steps(survey.path)
     for at in range(_ROUNDS):
         reach_m = max(0.5 * 0.6**at, 0.12)
         world = placed(points, key, poses)
-        eyes = placed(np.broadcast_to(lidar, (len(poses), 2)), np.arange(len(poses)), poses)
-        normals, _, neighbours, there = _walls(world, eyes[key], _NEIGHBOURS, min(reach_m, 0.25))
+        normals, _, neighbours, there = normals_of(world, eyes_of(survey, poses)[key], _NEIGHBOURS, min(reach_m, 0.25))
         one, other = _ties(normals, key, neighbours, there & _within(world, neighbours, reach_m))
         rows, e = _tie_rows(points, key, poses, world, normals, one, other)
         sigma = max(_SIGMA_M, 1.4826 * float(np.median(np.abs(e)))) if len(e) else _SIGMA_M
@@ -59,9 +57,7 @@ def surface(survey: TrackSurvey, poses: Float64s) -> Surface:
     """The walls that all returns show from the given poses of their key frames."""
     key = survey.key.astype(np.intp)
     world = placed(survey.points_m.astype(np.float64), key, poses)
-    lidar = np.array([survey.lidar_x_m, survey.lidar_y_m])
-    eyes = placed(np.broadcast_to(lidar, (len(poses), 2)), np.arange(len(poses)), poses)
-    normals, mean, neighbours, there = _walls(world, eyes[key], 20, 0.2)
+    normals, mean, neighbours, there = normals_of(world, eyes_of(survey, poses)[key], 20, 0.2)
     off = np.einsum("ij,ij->i", normals, world - mean)
     flat = world - off[:, None] * normals
     # which side of a wall is the track: a return that was met at a flat angle may have it wrong, its neighbours vote
@@ -80,10 +76,16 @@ def placed(points: Float64s, key: Ints, poses: Float64s) -> Float64s:
     return np.stack((cos * points[:, 0] - sin * points[:, 1] + x, sin * points[:, 0] + cos * points[:, 1] + y), axis=1)
 
 
+def eyes_of(survey: TrackSurvey, poses: Float64s) -> Float64s:
+    """Where the lidar was at each key frame, (n, 2) in `track`."""
+    lidar = np.array([survey.lidar_x_m, survey.lidar_y_m])
+    return placed(np.broadcast_to(lidar, (len(poses), 2)), np.arange(len(poses)), poses)
+
+
 # ------------------------------------------------------------------------------------------- correspondences
 
 
-def _walls(world: Float64s, eyes: Float64s, most: int, reach_m: float) -> tuple[Float64s, Float64s, Ints, Any]:
+def normals_of(world: Float64s, eyes: Float64s, most: int, reach_m: float) -> tuple[Float64s, Float64s, Ints, Any]:
     """For each point: its normal towards its eye, the mean of its neighbours, which they are (m, most), which count."""
     from scipy.spatial import cKDTree
 
