@@ -59,6 +59,10 @@ class Match:
         n = len(self.distance_m)
         return 1.4826 * float(np.partition(np.abs(self.distance_m), n // 2)[n // 2]) if n else math.nan
 
+    def cost_m(self, most_m: float) -> float:
+        """Mean size of the distances, each counted as `most_m` at most; that much without returns."""
+        return float(np.minimum(np.abs(self.distance_m), most_m).mean()) if len(self.distance_m) else most_m
+
 
 def align(
     x_m: Float64s,

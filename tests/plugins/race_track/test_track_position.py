@@ -161,6 +161,21 @@ def test_a_new_track_is_proven_before_it_is_driven_by(lap: Lap, track: RaceTrack
     assert said[0].reason == "found, not yet proven"
 
 
+@pytest.mark.parametrize("along_m", [1.0, -1.0])
+@pytest.mark.parametrize("from_m", [0.0, 12.0, 24.0, 36.0])
+def test_what_it_is_sure_of_is_right_though_odometry_has_it_elsewhere(
+    lap: Lap, track: RaceTrack, along_m: float, from_m: float
+) -> None:
+    """A metre along the lap scans fit nearly as well, on the straights with so much noise."""
+    driven = Lap(lap.ground, noise_m=0.05)
+    begin_s = track.at_ns / S + from_m / lap.speed_mps
+    x, y, yaw = true_pose(lap, begin_s)
+    moved = replace(track, at=compose((x, y, yaw), (along_m, 0.0, 0.0)), at_ns=round(begin_s * S))
+    said = Follower(driven, moved).drive(begin_s, begin_s + 2.5)
+    sure = [error(driven, located) for located in said if located.is_sure]
+    assert len(sure) > 20 and max(math.hypot(along, across) for along, across, _ in sure) < 0.3
+
+
 def test_a_scan_that_sees_nothing_is_no_proof(sure: Follower, track: RaceTrack) -> None:
     at_s = next(iter(sure.lap.times(track.at_ns / S + 2.01, 1e3)))
     scan = sure.lap.scan(at_s)

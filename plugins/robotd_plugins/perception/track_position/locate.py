@@ -21,7 +21,7 @@ from robotd_plugins.perception.track_position.seek import Seeker
 from robotd_plugins.perception.track_position.walls import FieldWalls
 from robotd_plugins.toolkit.race_track import Located, RaceTrack
 from robotd_plugins.toolkit.scan_follow import Followed, ScanFollower
-from robotd_plugins.toolkit.scan_match import Pose
+from robotd_plugins.toolkit.scan_match import Pose, align, prior_of
 from robotd_plugins.toolkit.scan_motion import Beams, CarMotion
 
 _CUT_M: Final = 0.4
@@ -34,6 +34,15 @@ _CHUNK: Final = 80
 """Places that are tried with one scan when the whole lap is searched."""
 _NEAR_M, _NEAR_SHARE = 2.0, 0.15
 _FIRST_TRIES: Final = 20
+_DRIFT_M: Final = 0.2
+"""Where odometry has the car is not known better."""
+_RIVALS_M: Final = (0.5, -0.5, 1.0, -1.0, 1.5, -1.5)
+"""Places along the track that are tried, one a scan, while the place that was found is not yet proven,"""
+_BETTER: Final = 0.95
+"""and taken where the scan fits better by this factor,"""
+_ELSEWHERE_M: Final = 0.2
+"""unless that is the same place."""
+_RIVAL_PRIOR: Final = prior_of(0.5, 0.3, 0.2)
 _DENSE: Final = 361
 _SIDE_BY_SIDE: Final = 3
 _STANDS_SHARE: Final = 0.02
@@ -62,6 +71,7 @@ class Locator:
     _searched: list[Float64s] = field(default_factory=list)
     _held: tuple[Float64s, Float64s, int] | None = None
     _proven_m: float = 0.0
+    _rivals: int = 0
     _along_var: float = 0.0
     _way_m: float = 0.0
     _off_m: float = 0.0
@@ -93,6 +103,8 @@ class Locator:
         followed = self._follower.follow(scan, motion, self.pose, self._walls)
         self.pose = followed.match.pose
         reason = self._why_not(scan, followed, motion.is_measured)
+        if self._rivals < len(_RIVALS_M):
+            self._try_a_rival(scan, followed)
         share = followed.match.explained_share
         self._bad = 0 if share >= self.config.explained_share_min else self._bad + (_LOST if share < _LOST_SHARE else 1)
         if self._bad >= _LOST * _LOST_SCANS:
@@ -117,7 +129,7 @@ class Locator:
             return why
         if self._calm < _CALM_SCANS:
             return "settles after a surprise"
-        if self._proven_m < config.prove_m:
+        if self._proven_m < config.prove_m or self._rivals < len(_RIVALS_M):
             return "found, not yet proven"
         return ""
 
@@ -159,6 +171,17 @@ class Locator:
         first = int(np.flatnonzero(stands)[int(side_by_side.argmax())])
         return f"something stands {math.hypot(x[first], y[first]):.1f} m away that is not on the map"
 
+    def _try_a_rival(self, scan: LidarScan, followed: Followed) -> None:
+        """In a corridor a scan fits a little farther along as well; where it fits better the car is moved there."""
+        assert self.pose is not None and self._walls is not None
+        start = compose(self.pose, (_RIVALS_M[self._rivals], 0.0, 0.0))
+        self._rivals += 1
+        x, y = self._follower.points(scan, self._follower.twist)
+        match = align(x, y, start, _RIVAL_PRIOR, self._walls, self._follower.sigma_m, _CUT_M, 6)
+        is_better = match.cost_m(_CUT_M) < _BETTER * followed.match.cost_m(_CUT_M)
+        if is_better and math.dist(match.pose[:2], self.pose[:2]) > _ELSEWHERE_M:
+            self.pose, self._proven_m, self._rivals = match.pose, 0.0, 0
+
     # --------------------------------------------------------------------------------------- looking for it
 
     def _lose(self) -> None:
@@ -180,7 +203,8 @@ class Locator:
             self._tries += 1
             way = motion.way_m(track.at_ns, scan.stamp_ns)
             which = seeker.beyond(track.at, way, _NEAR_M + _NEAR_SHARE * abs(way))
-            return self._take_best(scan, x, y, which, seeker.misfit_m(x, y, which), sigma_m, 0, motion)
+            drift_m = _DRIFT_M + self.config.odometry_share * abs(way)
+            return self._take_best(scan, x, y, which, seeker.misfit_m(x, y, which), sigma_m, 0, motion, drift_m)
         if self._held is None:
             self._held, self._chunk, self._searched = (x, y, scan.stamp_ns), 0, []
         hx, hy, held_ns = self._held
@@ -204,15 +228,16 @@ class Locator:
         sigma_m: float,
         seen_ns: int,
         motion: CarMotion,
+        drift_m: float = math.inf,
     ) -> Located:
         """seen_ns: when the returns were seen; 0: now."""
         assert self._seeker is not None
-        match = self._seeker.best(x, y, which, misfit, sigma_m)
+        match = self._seeker.best(x, y, which, misfit, sigma_m, drift_m)
         if match is None or match.explained_share < self.config.explained_share_min:
             return self._said(scan, (0.0, 0.0, 0.0), math.nan, 0.0, "does not know where it is")
         since = motion.between(seen_ns, scan.stamp_ns) if seen_ns else (0.0, 0.0, 0.0)
         self.pose = compose(match.pose, since)
-        self._proven_m, self._along_var, self._way_m, self._off_m = 0.0, 0.3**2, 0.0, 0.0
+        self._proven_m, self._along_var, self._way_m, self._off_m, self._rivals = 0.0, 0.3**2, 0.0, 0.0, 0
         return self._said(scan, self.pose, match.residual_m, match.explained_share, "found, not yet proven")
 
     def _said(self, scan: LidarScan, pose: Pose, residual_m: float, share: float, reason: str) -> Located:

@@ -22,6 +22,8 @@ _CUT_M: Final = 0.5
 _APART_M: Final = 0.8
 _BEST: Final = 3
 _LEAST: Final = 40
+_DRIFT_COST_M: Final = 0.005
+"""What one standard deviation of odometry's drift costs, in mean distance."""
 
 
 class Seeker:
@@ -62,12 +64,19 @@ class Seeker:
         which: NDArray[np.intp],
         misfit_m: Float64s,
         sigma_m: float,
+        drift_m: float = math.inf,
     ) -> Match | None:
-        """The best fit from the most promising of some places; None where there are no places or too few returns."""
+        """The best fit from the most promising of some places; None where there are no places or too few returns.
+
+        drift_m: standard deviation of where the middle one of the places has the car; of fits as good, the nearest.
+        """
         if len(x_m) < _LEAST:
             return None
         found: Match | None = None
+        least = math.inf
         tried: list[Float64s] = []
+        far = (np.arange(len(which)) - len(which) // 2) * (_STEP_M / drift_m)
+        misfit_m = misfit_m + _DRIFT_COST_M * far * far
         for i in np.argsort(misfit_m):
             place = self.places[which[i]]
             if any(math.hypot(*(place[:2] - other[:2])) < _APART_M for other in tried):
@@ -75,8 +84,9 @@ class Seeker:
             tried.append(place)
             start = (float(place[0]), float(place[1]), float(place[2]))
             match = align(x_m, y_m, start, prior_of(0.5, 0.5, 0.3), self._walls, sigma_m, _CUT_M, 8)
-            if found is None or match.explained_share > found.explained_share:
-                found = match
+            cost = match.cost_m(_CUT_M) + _DRIFT_COST_M * float(far[i]) ** 2
+            if cost < least:
+                found, least = match, cost
             if len(tried) == _BEST:
                 break
         return found
