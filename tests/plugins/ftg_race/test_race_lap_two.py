@@ -76,10 +76,11 @@ def test_it_takes_to_the_line_and_says_so(caplog: pytest.LogCaptureFixture) -> N
         ({"gone": True}, "nobody knows where the car is"),
         ({"is_sure": False, "reason": "residual 0.3 m"}, "the place is not sure: residual 0.3 m"),
         ({"version": 2}, "the place is on version 2 of the track, the line on 1"),
-        ({"y_m": 0.4}, "off the line"),
+        ({"y_m": 0.6}, "off the line"),
         ({"yaw_rad": 0.6}, "off the line"),
         ({"box": True}, "free for"),
         ({"speed_mps": 9.5}, "too fast for the line"),
+        ({"speed_mps": 8.0, "yaw_rad": 0.3}, "of the grip to hold it"),
     ],
 )
 def test_it_falls_back_in_the_same_step(changed: dict[str, Any], told: str, caplog: pytest.LogCaptureFixture) -> None:
@@ -96,6 +97,19 @@ def test_it_falls_back_in_the_same_step(changed: dict[str, Any], told: str, capl
     assert told in lap.race.driven_by
     assert [told in r.getMessage() for r in caplog.records] == [True]
     assert answer == plain.step(**changed)
+
+
+@pytest.mark.parametrize(
+    ("turned_rad", "speed_mps", "joins"), [(0.0, 7.0, True), (0.25, 3.0, True), (0.25, 7.0, False)]
+)
+def test_it_comes_to_the_line_only_where_the_tyres_can_bring_it_there(
+    turned_rad: float, speed_mps: float, joins: bool
+) -> None:
+    lap = Lap()
+    for _ in range(4):
+        lap.step(speed_mps=speed_mps, yaw_rad=turned_rad)
+    assert lap.is_on is joins
+    assert joins or "of the grip to hold it" in lap.race.driven_by
 
 
 def test_it_comes_back_a_quarter_of_a_second_later() -> None:

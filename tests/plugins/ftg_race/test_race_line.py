@@ -17,6 +17,7 @@ from robotd_plugins.behaviours.ftg_race.line.on_line import TrackLine
 from robotd_plugins.behaviours.ftg_race.line.profile import lap_s, speeds_mps
 from robotd_plugins.behaviours.ftg_race.line.solver import box_programme
 from robotd_plugins.behaviours.ftg_race.line.tracker import Tracker
+from robotd_plugins.behaviours.ftg_race.line.tyre_lag import TyreLag
 
 BODY = body_of(F1TENTH)
 LIMITS = LineLimits(8.0, 8.0, 6.0, 6.0, 9.0)
@@ -121,27 +122,60 @@ def test_the_place_of_a_car_beside_its_line(s: float, aside: float, turned: floa
     at = s / line.step_m
     i = int(at)
     x, y, yaw = (float(np.interp(at, [i, i + 1], [a[i], a[i + 1]])) for a in (track.x_m, track.y_m, track.yaw_rad))
+    jump_pm = abs(float(track.curvature_pm[i + 1] - track.curvature_pm[i]))
     found = line.place(x - aside * math.sin(yaw), y + aside * math.cos(yaw), yaw + turned)
     off = (found.s_m - s + line.length_m / 2.0) % line.length_m - line.length_m / 2.0
     assert abs(off) < 0.05
     assert found.aside_m == pytest.approx(aside, abs=0.02)
-    assert found.turned_rad == pytest.approx(turned, abs=0.02)
-    way, ahead_x, ahead_y = line.ahead(found, 6.0)
+    # where a straight becomes a bend the curvature jumps between two points of the line, and yaw is bent there
+    assert found.turned_rad == pytest.approx(turned, abs=0.02 + 0.25 * line.step_m * jump_pm)
+    ahead = line.ahead(found, 6.0, 0.15, 1.5)
     # the line is followed from where the car is, and is as long as it says
-    assert math.hypot(ahead_x[0], ahead_y[0]) < way[0] + 0.15
-    assert 5.0 < way[-1] <= 6.0 + line.step_m
+    assert math.hypot(ahead.x_m[0], ahead.y_m[0]) < ahead.way_m[0] + 0.15
+    assert 5.0 < ahead.way_m[-1] <= 6.0 + line.step_m
+    # its direction is that of its points, seen from the car's own course
+    course = np.arctan2(np.diff(ahead.y_m), np.diff(ahead.x_m))
+    off = np.remainder(course - ahead.turned_rad[1:] + math.pi, math.tau) - math.pi
+    assert np.abs(off).max() < 0.15 + 0.6 * abs(aside)
 
 
 @pytest.mark.parametrize("speed", [2.0, 5.0, 8.0])
-@pytest.mark.parametrize(("aside", "turned"), [(0.2, 0.0), (-0.2, 0.1), (0.0, 0.3), (0.0, -0.3)])
+@pytest.mark.parametrize(("aside", "turned"), [(0.2, 0.0), (-0.2, 0.1), (0.0, 0.3), (0.0, -0.3), (0.8, 0.0)])
 def test_a_car_that_does_as_told_comes_back_to_its_line(speed: float, aside: float, turned: float) -> None:
     line, tracker = TrackLine(stadium.learned(), LIMITS), Tracker()
     x, y, yaw = -15.0, aside, turned
-    worst = 0.0
+    worst = steepest = 0.0
     while x < 10.0:
         place = line.place(x, y, yaw)
-        worst = max(worst, abs(place.aside_m))
+        worst, steepest = max(worst, abs(place.aside_m)), max(steepest, abs(place.turned_rad))
         curvature = tracker.curvature_pm(line, place, speed)
         x, y, yaw = x + 0.02 * math.cos(yaw), y + 0.02 * math.sin(yaw), yaw + 0.02 * curvature
     assert abs(y) < 0.01 and abs(yaw) < 0.01
     assert worst < abs(aside) + 0.25
+    # from however far, at a gentle angle
+    assert steepest < abs(turned) + 0.2
+
+
+def test_slip_that_has_to_build_up_is_missing_at_first() -> None:
+    lag, grip = TyreLag(0.2, 10.0), 10.0
+    steady_rad = 0.2 * 6.0 * 1.0 / grip
+    assert lag.missing_rad(6.0, 0.0, 0, 0.0) == 0.0
+    missing = [lag.missing_rad(6.0, 1.0, ms * 1_000_000, 0.0) for ms in range(1, 1001)]
+    assert 0.9 * steady_rad < missing[0] < steady_rad
+    # an e-th part is left after speed x slip / grip: 0.12 s
+    assert missing[119] == pytest.approx(steady_rad / math.e, rel=0.01)
+    assert missing == sorted(missing, reverse=True) and missing[-1] < 1e-3 * steady_rad
+
+
+@given(st.lists(st.tuples(st.floats(0.0, 8.0), st.floats(-6.0, 6.0)), min_size=1, max_size=20), st.floats(0.0, 0.2))
+@settings(max_examples=50, deadline=None)
+def test_missing_slip_is_mirrored_and_no_more_than_the_slip_that_changed(
+    driven: list[tuple[float, float]], after_s: float
+) -> None:
+    left, right, most_rad = TyreLag(0.2, 10.0), TyreLag(0.2, 10.0), 0.0
+    for k, (v, w) in enumerate(driven):
+        most_rad = max(most_rad, abs(0.2 * v * w / 10.0))
+        missing = left.missing_rad(v, w, k * 25_000_000, after_s)
+        assert right.missing_rad(v, -w, k * 25_000_000, after_s) == -missing
+        assert abs(missing) <= 2.0 * most_rad + 1e-12
+        assert v >= 1.0 or missing == 0.0

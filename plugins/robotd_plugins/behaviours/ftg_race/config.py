@@ -133,20 +133,22 @@ class FtgRaceConfig(Config):
 
     learn: bool = True
     """From lap 2 on it follows the line that the perceptor `race_track` learned, while `track_position` is sure."""
-    line_lateral_share: float = Field(default=0.80, gt=0.0, le=1.0)
+    line_lateral_share: float = Field(default=0.78, gt=0.0, le=1.0)
     """Of the grip is planned with in bends of the learned line; what bounds it is known, so more than else."""
-    line_brake_share: float = Field(default=0.60, gt=0.0, le=1.0)
+    line_brake_share: float = Field(default=0.75, gt=0.0, le=1.0)
     """Of it for braking on the line."""
-    line_accel_share: float = Field(default=0.60, gt=0.0, le=1.0)
+    line_accel_share: float = Field(default=0.85, gt=0.0, le=1.0)
     """Of it for speeding up on the line."""
-    line_grip_share: float = Field(default=0.88, gt=0.0, le=1.0)
+    line_grip_share: float = Field(default=0.94, gt=0.0, le=1.0)
     """Of it for both together: radius of the friction circle on the line."""
-    load_shift_rad: float = Field(default=0.12, ge=0.0, le=1.0)
+    line_stop_share: float = Field(default=0.70, gt=0.0, le=1.0)
+    """Of it for a stop before the end of what is seen to be free: on the line nobody counts on needing it."""
+    load_shift_rad: float = Field(default=0.14, ge=0.0, le=1.0)
     """Speeding up with all the grip in a bend with all the grip the front wheels would be turned farther by this, on
     the line; less, in proportion to both; braking, turned back."""
     line_yaw_share: float = Field(default=1.0, ge=0.0, le=2.0)
     """Of the curvature that the car's yaw rate shows to be missing on the line, so much is steered in addition."""
-    line_bound_m: float = Field(default=0.25, gt=0.0, le=1.0)
+    line_bound_m: float = Field(default=0.50, gt=0.0, le=1.0)
     """Farther off the line the car is driven by follow-the-gap."""
     line_clear_m: float = Field(default=0.05, ge=0.0, le=0.5)
     """The way along the line must be free by so much beside the car."""

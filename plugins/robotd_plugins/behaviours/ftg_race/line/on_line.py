@@ -12,9 +12,6 @@ from robotd.world.messages import Float64s
 from robotd_plugins.behaviours.ftg_race.line.profile import LineLimits, lap_s, speeds_mps
 from robotd_plugins.toolkit.race_track import RaceTrack
 
-_JOINS_M = 2.5
-"""A car beside its line comes back to it over about this way."""
-
 
 @dataclass(frozen=True, slots=True)
 class Place:
@@ -23,6 +20,19 @@ class Place:
     s_m: float
     aside_m: float
     turned_rad: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ahead:
+    """Points of the line before the car, (k,) each, x along its course and y to its left."""
+
+    way_m: Float64s
+    """From the car, along the line."""
+    x_m: Float64s
+    y_m: Float64s
+    turned_rad: Float64s
+    """Direction of the line, from the car's course."""
+    curvature_pm: Float64s
 
 
 class TrackLine:
@@ -73,32 +83,33 @@ class TrackLine:
         """That the limits allow."""
         return self._between(self._v, s_m)
 
-    def ahead(self, place: Place, way_m: float) -> tuple[Float64s, Float64s, Float64s]:
-        """Ways from the car, and the line's points (k,) there, x along the car's course, y to its left, in metres.
+    def ahead(self, place: Place, way_m: float, most_m: float, back_m: float) -> Ahead:
+        """The line before the car, for `way_m`, as the car sees it.
 
-        The car's distance from the line is taken out little by little, as it will drive.
+        The car's distance from the line is taken out little by little, as it will drive: beyond `most_m` evenly, by
+        `most_m` over `back_m`, then by an e-th part over `back_m`.
         """
         first = int(place.s_m / self.step_m) + 1
-        last = first + max(int(way_m / self.step_m), 2)
-        way: Float64s = np.arange(first, last, dtype=np.float64) * self.step_m - place.s_m
+        count = min(max(int(way_m / self.step_m), 2), self._n)
         at = first % self._n
-        count = min(last - first, self._n)
-        x, y, yaw = (a[at : at + count] for a in (self._x, self._y, self._yaw))
-        way = way[:count]
-        off = place.aside_m * np.exp(-way / (0.4 * _JOINS_M))
-        x, y = x - off * np.sin(yaw), y + off * np.cos(yaw)
+        way: Float64s = np.arange(first, first + count, dtype=np.float64) * self.step_m - place.s_m
+        x, y, yaw, kappa = (a[at : at + count] for a in (self._x, self._y, self._yaw, self._kappa))
+        aside = abs(place.aside_m)
+        even_m = max(aside / most_m - 1.0, 0.0) * back_m
+        off = min(aside, most_m) * np.exp(np.minimum(even_m - way, 0.0) / back_m)
+        if even_m > 0.0:
+            off += np.maximum(even_m - way, 0.0) * (most_m / back_m)
+        off = math.copysign(1.0, place.aside_m) * off
         # the car's own place and course
         here = self._between(self._yaw, place.s_m)
+        course = here + place.turned_rad
         x0 = self._between(self._x, place.s_m) - place.aside_m * math.sin(here)
         y0 = self._between(self._y, place.s_m) + place.aside_m * math.cos(here)
-        cos, sin = math.cos(here + place.turned_rad), math.sin(here + place.turned_rad)
-        x, y = x - x0, y - y0
-        return way, cos * x + sin * y, cos * y - sin * x
-
-    def curvatures_pm(self, place: Place, count: int) -> Float64s:
-        """At the first `count` points of `ahead`."""
-        at = (int(place.s_m / self.step_m) + 1) % self._n
-        return self._kappa[at : at + count]
+        cos, sin = math.cos(course), math.sin(course)
+        x, y = x - off * np.sin(yaw) - x0, y + off * np.cos(yaw) - y0
+        # the yaw of the line runs on where it has gone once round
+        turned = yaw - (course + math.tau * round((float(yaw[0]) - course) / math.tau))
+        return Ahead(way, cos * x + sin * y, cos * y - sin * x, turned, kappa)
 
     def _between(self, values: Float64s, s_m: float) -> float:
         at, share = divmod(s_m / self.step_m, 1.0)

@@ -14,17 +14,23 @@ from robotd_plugins.behaviours.ftg_race.body import Body, swept_free_m
 from robotd_plugins.behaviours.ftg_race.commanding import GRAVITY_MPS2, SpeedPolicy, steering_rad
 from robotd_plugins.behaviours.ftg_race.config import FtgRaceConfig
 from robotd_plugins.behaviours.ftg_race.free_space import HALF, STEP_RAD, FreeSpace
-from robotd_plugins.behaviours.ftg_race.line.on_line import Place, TrackLine
+from robotd_plugins.behaviours.ftg_race.line.on_line import Ahead, Place, TrackLine
 from robotd_plugins.behaviours.ftg_race.line.profile import LineLimits
 from robotd_plugins.behaviours.ftg_race.line.tracker import Tracker
+from robotd_plugins.behaviours.ftg_race.line.tyre_lag import TyreLag
 from robotd_plugins.behaviours.ftg_race.planner_ftg import PlannerFTG
 from robotd_plugins.behaviours.ftg_race.planning_types import FREE, Command, Motion, Scan
 
 Pose = tuple[float, float, float]
 _TURNED_RAD = 0.5
 _JOIN_SHARE = 0.6
+_PULL = 1.2
+"""In so many times what a command takes to act, and no faster, the car can be brought back to its line."""
+_JOIN_GRIP, _GRIP = 0.85, 1.5
+"""What coming back to the line may ask of the tyres; more is not there, and the car would run wide."""
 _OVER = 1.12
 _OVER_MPS = 0.3
+"""So much faster than the line allows where the car is now, it is left."""
 _SLOWED = 0.7
 _SETTLE_S = 0.06
 _NEAR_M = 0.03
@@ -40,14 +46,16 @@ _MOST_RAD = 0.12
 
 
 class LinePlanner:
-    """A command on the line, or the reason why there is none now. Keeps nothing between plans but for `explain`."""
+    """A command on the line, or the reason why there is none now. Keeps what was asked last, and how far the tyres'
+    slip is behind.
+    """
 
     def __init__(self, config: FtgRaceConfig, body: Body, policy: SpeedPolicy, planner: PlannerFTG) -> None:
         self._config, self._body, self._policy, self._planner = config, body, policy, planner
         self._space = FreeSpace()
-        self._tracker = Tracker()
+        self._tracker = Tracker(pull_s=_PULL * config.actuation_s)
         grip = self._grip_mps2 = config.mu * GRAVITY_MPS2
-        self._brake_mps2 = min(config.brake_share * grip, config.brake_mps2)
+        self._brake_mps2 = min(config.line_stop_share * grip, config.brake_mps2)
         self.limits = LineLimits(
             config.v_max_mps,
             config.line_lateral_share * grip,
@@ -57,6 +65,7 @@ class LinePlanner:
         )
         self._understeer_rad_per_mps2 = config.understeer_rad / grip
         self._slip_rad_per_mps2 = config.rear_slip_rad / grip
+        self._lag = TyreLag(config.rear_slip_rad, grip)
         self._outline = body.wider(_NEAR_M)
         self._asked: deque[tuple[int, float]] = deque(maxlen=16)
         self.place = Place(0.0, 0.0, 0.0)
@@ -68,22 +77,31 @@ class LinePlanner:
         v = motion.speed_mps
         x, y = planner.points(scan)
         at = compose(compose(base_track, (self._body.middle_m, 0.0, 0.0)), planner.frame)
-        place = self.place = line.place(*at)
+        late = self._lag.missing_rad(v, motion.yaw_rate_radps, now_ns, config.actuation_s)
+        place = self.place = line.place(*compose(at, (0.0, late * max(v, 0.0) * config.actuation_s, late)))
         share = _JOIN_SHARE if joins else 1.0
         if abs(place.aside_m) > share * config.line_bound_m or abs(place.turned_rad) > share * _TURNED_RAD:
             return f"{place.aside_m:.2f} m and {place.turned_rad:.2f} rad off the line"
         wanted = self._tracker.speed_mps(line, place, v)
-        if v > _OVER * wanted + _OVER_MPS:
+        if v > _OVER * line.speed_mps(place.s_m - v * config.actuation_s) + _OVER_MPS:
             return f"too fast for the line: {v:.1f} m/s"
-        free = self.free_m = self._free_m(scan, line, place, x, y)
+        asked = self._tracker.curvature_pm(line, place, v)
+        used = abs(asked) * v * v / self._grip_mps2
+        if used > (_JOIN_GRIP if joins else _GRIP):
+            return f"{used:.1f} of the grip to hold it"
+        away2 = x * x + y * y
+        ahead = line.ahead(place, config.reach_m, self._tracker.most_m, self._tracker.back_m(v))
+        free = self.free_m = min(self._free_m(scan, ahead, x, y), self._swept_m(ahead, v, x, y, away2))
         short = config.stop_distance_m + max(v, 0.0) * motion.period_s
         stop = math.sqrt(2.0 * self._brake_mps2 * max(free - short, 0.0))
         if stop < _SLOWED * min(v, wanted):
             return f"free for {free:.1f} m only"
         wanted = min(wanted, stop)
-        curvature = planner.within_grip(self._tracker.curvature_pm(line, place, v), v, wanted)
+        curvature = planner.within_grip(asked, v, wanted)
         near_m = _ARC_M + _ARC_S * max(v, 0.0)
-        swept = swept_free_m(x + self._body.middle_m, y, curvature, self._outline, near_m)
+        reach_m = near_m + self._outline.front_m + self._outline.half_width_m
+        near = (away2 < reach_m * reach_m).nonzero()[0]
+        swept = swept_free_m(x.take(near) + self._body.middle_m, y.take(near), curvature, self._outline, near_m)
         if swept < near_m:
             return f"{swept:.1f} m to a wall on the arc that is steered"
         # no more of the motor than the tyres have left beside the bend
@@ -120,41 +138,40 @@ class LinePlanner:
         grip = self._grip_mps2
         return self._config.load_shift_rad * along * curvature * v * v / (grip * grip)
 
-    def _free_m(self, scan: Scan, line: TrackLine, place: Place, x: Float64s, y: Float64s) -> float:
+    def _free_m(self, scan: Scan, ahead: Ahead, x: Float64s, y: Float64s) -> float:
         """How far the line is free in this scan."""
         config = self._config
         reach_m = self._body.half_width_m + config.line_clear_m
         profile = self._space.profile(x, y, scan.state != FREE, reach_m, config.reach_m, scan.step_rad)
-        way, px, py = line.ahead(place, config.reach_m)
-        index = np.rint(np.arctan2(py, px) / STEP_RAD).astype(np.intp) + HALF
-        out = (index < 0) | (index > 2 * HALF)
-        blocked = out | (profile.take(index, mode="clip") <= np.hypot(px, py))
-        free = float(way[int(blocked.argmax())]) if blocked.any() else config.reach_m
-        return min(free, self._swept_m(line, place, scan.motion.speed_mps, (x, y), (way, px, py)))
+        index = np.rint(np.arctan2(ahead.y_m, ahead.x_m) * (1.0 / STEP_RAD)).astype(np.intp)
+        blocked = profile.take(index + HALF, mode="clip") <= np.hypot(ahead.x_m, ahead.y_m)
+        blocked |= np.abs(index) > HALF
+        first = int(blocked.argmax())
+        return float(ahead.way_m[first]) if blocked[first] else config.reach_m
 
-    def _swept_m(
-        self, line: TrackLine, place: Place, v: float, points: tuple[Float64s, Float64s], ahead: tuple[Float64s, ...]
-    ) -> float:
+    def _swept_m(self, ahead: Ahead, v: float, x: Float64s, y: Float64s, away2: Float64s) -> float:
         """How far the real outline goes along the line, turned as tyres that slip turn it; in bends, as far as it needs
         to stop.
         """
         far = _FAR_M + max(v, 0.0) * _FAR_S + v * v / (2.0 * self._brake_mps2)
-        way, px, py = (a[: int(np.searchsorted(ahead[0], far))] for a in ahead)
-        kappa = line.curvatures_pm(place, len(way))
-        course = np.arctan2(np.diff(py, prepend=0.0), np.diff(px, prepend=0.0))
-        tight = np.flatnonzero(np.abs(kappa) > _TIGHT_PM)
-        x, y = points
-        close = x * x + y * y < (far + self._body.front_m) ** 2
-        if not len(tight) or not close.any():
+        size = np.abs(ahead.curvature_pm)
+        tight = ((size > _TIGHT_PM) & (ahead.way_m < far)).nonzero()[0]
+        reach_m = far + self._body.front_m
+        close = (away2 < reach_m * reach_m).nonzero()[0]
+        if not len(tight) or not len(close):
             return self._config.reach_m
-        kappa = kappa[tight]
         # no bend ahead is driven faster than its grip allows
-        slip = self._slip_rad_per_mps2 * np.minimum(v * v, self.limits.lateral_mps2 / np.abs(kappa))
-        heading = course[tight] - kappa * (self._body.middle_m - slip)
-        cos, sin = np.cos(heading)[:, None], np.sin(heading)[:, None]
-        dx, dy = x[close] - px[tight][:, None], y[close] - py[tight][:, None]
+        slip = self._slip_rad_per_mps2 * np.minimum(v * v, self.limits.lateral_mps2 / size.take(tight))
+        heading = ahead.turned_rad.take(tight) - ahead.curvature_pm.take(tight) * (self._body.middle_m - slip)
+        cos, sin = np.cos(heading), np.sin(heading)
+        px, py = ahead.x_m.take(tight), ahead.y_m.take(tight)
+        # returns (2, n) as each place of the car (k, 2, 2) sees them
+        seen: Float64s = np.array(((cos, -sin), (sin, cos))).T @ np.stack((x.take(close), y.take(close)))
+        seen -= np.stack((cos * px + sin * py, cos * py - sin * px), axis=1)[:, :, None]
+        np.abs(seen, out=seen)
         outline = self._outline
-        half_m = (outline.front_m - outline.rear_m) / 2.0
-        touched = (np.abs(cos * dx + sin * dy) < half_m) & (np.abs(cos * dy - sin * dx) < outline.half_width_m)
-        hit = touched.any(axis=1)
-        return float(way[tight[int(hit.argmax())]]) if hit.any() else self._config.reach_m
+        touched = seen[:, 0] < (outline.front_m - outline.rear_m) / 2.0
+        touched &= seen[:, 1] < outline.half_width_m
+        hit = np.logical_or.reduce(touched, axis=1)
+        first = int(hit.argmax())
+        return float(ahead.way_m[tight[first]]) if hit[first] else self._config.reach_m

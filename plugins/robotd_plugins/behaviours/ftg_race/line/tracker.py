@@ -17,17 +17,27 @@ class Tracker:
     """
 
     pull_m: float = 0.55
-    pull_s: float = 0.12
+    pull_s: float = 0.11
     damping: float = 0.7
+    most_m: float = 0.15
+    """A greater distance pulls no more, so that a car far from the line comes back at a gentle angle."""
     lead_s: float = 0.02
     """The line's curvature and speed are taken so far ahead of the place."""
 
     def curvature_pm(self, line: TrackLine, place: Place, speed_mps: float) -> float:
         """Of the way to steer, left positive."""
-        reach = self.pull_m + max(speed_mps, 0.0) * self.pull_s
-        back = -place.aside_m / (reach * reach) - 2.0 * self.damping * place.turned_rad / reach
+        reach = self._reach_m(speed_mps)
+        aside_m = min(max(place.aside_m, -self.most_m), self.most_m)
+        back = -aside_m / (reach * reach) - 2.0 * self.damping * place.turned_rad / reach
         return line.curvature_pm(place.s_m + speed_mps * self.lead_s) + back
+
+    def back_m(self, speed_mps: float) -> float:
+        """The way over which a small distance from the line decays to its e-th part, about."""
+        return 2.0 * self.damping * self._reach_m(speed_mps)
 
     def speed_mps(self, line: TrackLine, place: Place, speed_mps: float) -> float:
         """That the line allows where the command acts."""
         return line.speed_mps(place.s_m + speed_mps * self.lead_s)
+
+    def _reach_m(self, speed_mps: float) -> float:
+        return self.pull_m + max(speed_mps, 0.0) * self.pull_s
