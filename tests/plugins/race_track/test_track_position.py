@@ -161,19 +161,22 @@ def test_a_new_track_is_proven_before_it_is_driven_by(lap: Lap, track: RaceTrack
     assert said[0].reason == "found, not yet proven"
 
 
-@pytest.mark.parametrize("along_m", [1.0, -1.0])
-@pytest.mark.parametrize("from_m", [0.0, 12.0, 24.0, 36.0])
-def test_what_it_is_sure_of_is_right_though_odometry_has_it_elsewhere(
+@pytest.mark.parametrize("along_m", [0.8, -0.8, 1.0])
+@pytest.mark.parametrize("from_m", [0.0, 32.0, 40.0, 44.0])
+def test_a_car_that_was_found_farther_along_is_moved_before_it_is_sure(
     lap: Lap, track: RaceTrack, along_m: float, from_m: float
 ) -> None:
-    """A metre along the lap scans fit nearly as well, on the straights with so much noise."""
+    """On a straight a scan fits there as well, but not as well as where the car is."""
     driven = Lap(lap.ground, noise_m=0.05)
     begin_s = track.at_ns / S + from_m / lap.speed_mps
-    x, y, yaw = true_pose(lap, begin_s)
-    moved = replace(track, at=compose((x, y, yaw), (along_m, 0.0, 0.0)), at_ns=round(begin_s * S))
-    said = Follower(driven, moved).drive(begin_s, begin_s + 2.5)
+    follower = Follower(driven, replace(track, at=true_pose(lap, begin_s), at_ns=round(begin_s * S)))
+    follower.drive(begin_s, begin_s + 0.06)
+    locator = follower.perceptor._locator
+    assert locator.pose is not None
+    locator.pose = compose(locator.pose, (along_m, 0.0, 0.0))
+    said = follower.drive(begin_s + 0.06, begin_s + 1.5)
     sure = [error(driven, located) for located in said if located.is_sure]
-    assert len(sure) > 20 and max(math.hypot(along, across) for along, across, _ in sure) < 0.3
+    assert len(sure) > 10 and max(math.hypot(along, across) for along, across, _ in sure) < 0.2
 
 
 def test_a_scan_that_sees_nothing_is_no_proof(sure: Follower, track: RaceTrack) -> None:
