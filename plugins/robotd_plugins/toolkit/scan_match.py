@@ -121,4 +121,6 @@ def _solved(h: Float64s, g: Float64s) -> Float64s:
 
 def prior_of(along_m: float, across_m: float, yaw_rad: float) -> Float64s:
     """Information (3, 3) of an expected pose from its standard deviations in base."""
-    return np.diag([1.0 / along_m**2, 1.0 / across_m**2, 1.0 / yaw_rad**2])
+    prior = np.zeros((3, 3))
+    prior[0, 0], prior[1, 1], prior[2, 2] = 1.0 / along_m**2, 1.0 / across_m**2, 1.0 / yaw_rad**2
+    return prior
