@@ -8,6 +8,14 @@ from dataclasses import dataclass
 from robotd_plugins.behaviours.ftg_race.body import Body
 
 GRAVITY_MPS2 = 9.81
+_SHAPE = 1.6
+"""Of the limit that bends and the motor share: 2 is a circle. Speeding up takes load off the axle that steers."""
+_LEAST_ROOM = 0.25
+"""A little stays along the car whatever the bend takes, so that it can always slow down."""
+_IN_BEND, _SPED_UP_MPS = 0.5, 0.1
+"""In a bend with more than this share of grip a car that was told to speed up by more than this does not brake in the
+same moment: its front wheels are still turned for the load that brakes put back on them.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,18 +63,34 @@ class SpeedPolicy:
         """
         if wanted_mps <= 0.0:
             return 0.0
-        used = min(abs(lateral_mps2) / self.grip_mps2, 1.0)
-        # what friction leaves along the car; a little stays, so that the car can always slow down
-        room = max(math.sqrt(1.0 - used * used), 0.25)
         if self.accel_response_s <= 0.0:
+            room = self._brake_room(lateral_mps2)
             most, least = self.accel_mps2 * room * period_s, self.brake_mps2 * room * period_s
             return min(max(wanted_mps, max(before_mps, speed_mps) - least), before_mps + most, self.top_mps)
+        along = self.along_mps2(wanted_mps, speed_mps, lateral_mps2)
+        sped_up = before_mps > speed_mps + _SPED_UP_MPS
+        if along < 0.0 and sped_up and abs(lateral_mps2) > _IN_BEND * self.grip_mps2:
+            along = 0.0
+        response_s = self.accel_response_s if along > 0.0 else self.brake_response_s
+        return min(max(speed_mps + along * max(response_s, period_s), 0.0), self.top_mps)
+
+    def along_mps2(self, wanted_mps: float, speed_mps: float, lateral_mps2: float) -> float:
+        """The acceleration along the car that comes of a wanted speed beside a bend; negative for brakes."""
         asked = (wanted_mps - speed_mps) / self.settle_s
-        if asked > 0.0:
-            lead = min(asked, self.accel_mps2 * room) * max(self.accel_response_s, period_s)
-        else:
-            lead = max(asked, -self.brake_mps2 * room) * max(self.brake_response_s, period_s)
-        return min(max(speed_mps + lead, 0.0), self.top_mps)
+        if asked <= 0.0:
+            return max(asked, -self.brake_mps2 * self._brake_room(lateral_mps2))
+        used = min(abs(lateral_mps2) / self.grip_mps2, 1.0)
+        room = float((1.0 - used**_SHAPE) ** (1.0 / _SHAPE))
+        most = self.accel_mps2 * max(room, _LEAST_ROOM)
+        if self.accel_response_s > 0.0:
+            # a slack controller is told no more than the top speed, and so speeds up less and less towards it
+            most = min(most, max(self.top_mps - speed_mps, 0.0) / self.accel_response_s)
+        return min(asked, most)
+
+    def _brake_room(self, lateral_mps2: float) -> float:
+        """The share of grip that a bend leaves for the brakes."""
+        used = min(abs(lateral_mps2) / self.grip_mps2, 1.0)
+        return max(math.sqrt(1.0 - used * used), _LEAST_ROOM)
 
 
 class SteeringSmoother:

@@ -93,7 +93,7 @@ class FtgRaceConfig(Config):
     """Of it is planned with before the end of what is free."""
     corner_brake_share: float = Field(default=0.660, gt=0.0, le=1.0)
     """Of it is planned with on the way to a bend."""
-    accel_mps2: float = Field(default=9.0, gt=0.0, le=20.0)
+    accel_mps2: float = Field(default=9.4, gt=0.0, le=20.0)
     """It speeds up no faster (accel_limit)."""
     brake_mps2: float = Field(default=9.0, gt=0.0, le=20.0)
     """It slows down no harder, but for a stop."""
@@ -109,6 +109,9 @@ class FtgRaceConfig(Config):
     """At the limit of grip the rear axle drifts outwards by this angle; below it in proportion."""
     understeer_rad: float = Field(default=0.031, ge=-0.5, le=1.0)
     """At the limit of grip the front wheels are turned farther by this; below it in proportion."""
+    load_shift_rad: float = Field(default=0.14, ge=0.0, le=1.0)
+    """Speeding up with all the grip in a bend with all the grip the front wheels would be turned farther by this; less,
+    in proportion to both; on the line also turned back for the brakes."""
     yaw_gain_s: float = Field(default=0.03, ge=0.0, le=0.5)
     """The front wheels are turned back by this for each rad/s of yaw rate that is too much."""
 
@@ -143,9 +146,6 @@ class FtgRaceConfig(Config):
     """Of it for both together: radius of the friction circle on the line."""
     line_stop_share: float = Field(default=0.70, gt=0.0, le=1.0)
     """Of it for a stop before the end of what is seen to be free: on the line nobody counts on needing it."""
-    load_shift_rad: float = Field(default=0.14, ge=0.0, le=1.0)
-    """Speeding up with all the grip in a bend with all the grip the front wheels would be turned farther by this, on
-    the line; less, in proportion to both; braking, turned back."""
     line_yaw_share: float = Field(default=1.0, ge=0.0, le=2.0)
     """Of the curvature that the car's yaw rate shows to be missing on the line, so much is steered in addition."""
     line_bound_m: float = Field(default=0.50, gt=0.0, le=1.0)

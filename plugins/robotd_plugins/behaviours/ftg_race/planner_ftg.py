@@ -22,9 +22,11 @@ _LEAST_FREE_M = 0.05
 """With less in front of it the car counts as blocked."""
 _BLEND_PM = 0.3
 """Paths whose first bend differs by less from the best one's may have their say."""
+_NEAR_SHARE = 0.3
+"""Of how fast those may be entered, in the speed; so that it does not jump from one path of the fan to the next."""
 _OVER_FROM, _OVER_TO = 0.02, 0.17
 """So much too fast, as a share, grip goes to braking first: from the planned share of it to the lesser one."""
-_TURN_SHARE, _BRAKE_TURN_SHARE = 0.923, 0.68
+_TURN_SHARE, _BRAKE_TURN_SHARE = 0.87, 0.68
 """Of the grip, for steering; of it while much too fast."""
 _BRAKE_YAW = 2.5
 """The nose of a braking car turns in by itself: it is held back by so much more."""
@@ -35,6 +37,8 @@ the chosen one; beyond, the outline is followed along the arc that is really ste
 _PROMPT_S = 0.03
 _NOISY_M, _NOISE_CAUTION_PM = 0.04, 12.0
 """Ranges may err by so much; for what is more, so much of the grip a metre is not planned with."""
+_LOAD_SHARE = 1.286
+"""Of the turn for load: nothing here makes up for what is still missing, as the line's tracker does."""
 _SLOW_MPS = 1.0
 _HAIR_M = 0.005
 _LEAST_MARGIN_M = 0.015
@@ -117,8 +121,9 @@ class PlannerFTG:
         times += config.keep_s * np.abs(k1 - motion.curvature_pm)
         best = int(times.argmin())
         self._profile, self._chosen = profile, (best, float(free[best]))
-        wanted = min(math.sqrt(float(entry2[best])), most)
-        curvature = self.within_grip(self._blended(times, best), v, wanted)
+        curvature, near2 = self._blended(times, best, entry2)
+        wanted = min(math.sqrt(float(entry2[best]) + _NEAR_SHARE * (near2 - float(entry2[best]))), most)
+        curvature = self.within_grip(curvature, v, wanted)
         swept = float(free[best])
         if abs(curvature) > _TIGHT_PM or abs(curvature - k1[best]) > _OTHER_PM:
             swept = min(swept, self.outline_free_m(x, y, curvature, v))
@@ -179,11 +184,14 @@ class PlannerFTG:
             corner_brake_mps2=share * full.corner_brake_mps2,
         )  # fmt: skip
 
-    def _blended(self, times: Float64s, best: int) -> float:
-        """The mean first bend of the paths that are nearly as quick as the best one and begin nearly alike."""
+    def _blended(self, times: Float64s, best: int, entry2: Float64s) -> tuple[float, float]:
+        """The mean first bend of the paths that are nearly as quick as the best one and begin nearly alike, and the
+        mean square of the speeds to enter them with.
+        """
         near = self._fan.alike(best, _BLEND_PM)
         weight = np.exp((times[best] - times.take(near)) * (1.0 / self._config.blend_s))
-        return float(weight @ self._fan.k1_pm.take(near) / np.add.reduce(weight))
+        weight *= 1.0 / np.add.reduce(weight)
+        return float(weight @ self._fan.k1_pm.take(near)), float(weight @ entry2.take(near))
 
     def within_grip(self, curvature: float, v: float, wanted: float) -> float:
         """No more curvature than the tyres hold at this speed; while it is too fast, less, so that it can brake."""
@@ -194,14 +202,20 @@ class PlannerFTG:
         return min(max(curvature, -most), most)
 
     def steered_rad(self, curvature: float, motion: Motion, wanted: float) -> float:
-        """Angle of the front wheels for a curvature, with understeer, and against too much yaw."""
-        v = motion.speed_mps
+        """Angle of the front wheels for a curvature: understeer, the load that the motor moves, too much yaw."""
+        v, w = motion.speed_mps, motion.yaw_rate_radps
         angle = steering_rad(curvature, v, self._body, self._understeer_rad_per_mps2)
         if v > _SLOW_MPS:
-            missing = curvature * v - motion.yaw_rate_radps
+            turning = curvature * v
+            # speeding up takes load off the front wheels: they are turned farther. Brakes turn the nose in, see below
+            along = self._policy.along_mps2(wanted, v, max(abs(turning), abs(w)) * v)
+            grip2 = self._grip_mps2 * self._grip_mps2
+            # and only as far as it turns already: the tyres of a car that turns in carry little yet
+            turns = min(turning, max(w, 0.0)) if turning > 0.0 else max(turning, min(w, 0.0))
+            angle += _LOAD_SHARE * self._config.load_shift_rad * max(along, 0.0) * turns * v / grip2
             # against too much yaw only: what is missing comes by itself once the tyres have answered
-            gain = self._config.yaw_gain_s * (1.0 + _BRAKE_YAW * _too_fast(v, wanted))
-            angle += gain * missing if missing * motion.yaw_rate_radps < 0.0 else 0.0
+            too_much = max(w - max(turning, 0.0), 0.0) + min(w - min(turning, 0.0), 0.0)
+            angle -= self._config.yaw_gain_s * (1.0 + _BRAKE_YAW * _too_fast(v, wanted)) * too_much
         return angle
 
     def outline_free_m(self, x: Float64s, y: Float64s, curvature: float, v: float) -> float:
