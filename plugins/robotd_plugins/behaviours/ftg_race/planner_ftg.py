@@ -26,8 +26,10 @@ _NEAR_SHARE = 0.3
 """Of how fast those may be entered, in the speed; so that it does not jump from one path of the fan to the next."""
 _OVER_FROM, _OVER_TO = 0.02, 0.17
 """So much too fast, as a share, grip goes to braking first: from the planned share of it to the lesser one."""
-_TURN_SHARE, _BRAKE_TURN_SHARE = 0.87, 0.68
+_TURN_SHARE, _BRAKE_TURN_SHARE = 0.923, 0.68
 """Of the grip, for steering; of it while much too fast."""
+_OWN_TURN_SHARE = 0.87
+"""Of it for steering along the fan, whose first bends change from scan to scan."""
 _BRAKE_YAW = 2.5
 """The nose of a braking car turns in by itself: it is held back by so much more."""
 _CIRCLE_SHARE = 0.972
@@ -37,8 +39,6 @@ the chosen one; beyond, the outline is followed along the arc that is really ste
 _PROMPT_S = 0.03
 _NOISY_M, _NOISE_CAUTION_PM = 0.04, 12.0
 """Ranges may err by so much; for what is more, so much of the grip a metre is not planned with."""
-_LOAD_SHARE = 1.286
-"""Of the turn for load: nothing here makes up for what is still missing, as the line's tracker does."""
 _SLOW_MPS = 1.0
 _HAIR_M = 0.005
 _LEAST_MARGIN_M = 0.015
@@ -123,7 +123,7 @@ class PlannerFTG:
         self._profile, self._chosen = profile, (best, float(free[best]))
         curvature, near2 = self._blended(times, best, entry2)
         wanted = min(math.sqrt(float(entry2[best]) + _NEAR_SHARE * (near2 - float(entry2[best]))), most)
-        curvature = self.within_grip(curvature, v, wanted)
+        curvature = self.within_grip(curvature, v, wanted, _OWN_TURN_SHARE)
         swept = float(free[best])
         if abs(curvature) > _TIGHT_PM or abs(curvature - k1[best]) > _OTHER_PM:
             swept = min(swept, self.outline_free_m(x, y, curvature, v))
@@ -193,12 +193,12 @@ class PlannerFTG:
         weight *= 1.0 / np.add.reduce(weight)
         return float(weight @ self._fan.k1_pm.take(near)), float(weight @ entry2.take(near))
 
-    def within_grip(self, curvature: float, v: float, wanted: float) -> float:
+    def within_grip(self, curvature: float, v: float, wanted: float, turn_share: float = _TURN_SHARE) -> float:
         """No more curvature than the tyres hold at this speed; while it is too fast, less, so that it can brake."""
         if v < _SLOW_MPS:
             return curvature
         share = _too_fast(v, wanted)
-        most = (_TURN_SHARE + share * (_BRAKE_TURN_SHARE - _TURN_SHARE)) * self._grip_mps2 / (v * v)
+        most = (turn_share + share * (_BRAKE_TURN_SHARE - turn_share)) * self._grip_mps2 / (v * v)
         return min(max(curvature, -most), most)
 
     def steered_rad(self, curvature: float, motion: Motion, wanted: float) -> float:
@@ -212,7 +212,7 @@ class PlannerFTG:
             grip2 = self._grip_mps2 * self._grip_mps2
             # and only as far as it turns already: the tyres of a car that turns in carry little yet
             turns = min(turning, max(w, 0.0)) if turning > 0.0 else max(turning, min(w, 0.0))
-            angle += _LOAD_SHARE * self._config.load_shift_rad * max(along, 0.0) * turns * v / grip2
+            angle += self._config.load_shift_rad * max(along, 0.0) * turns * v / grip2
             # against too much yaw only: what is missing comes by itself once the tyres have answered
             too_much = max(w - max(turning, 0.0), 0.0) + min(w - min(turning, 0.0), 0.0)
             angle -= self._config.yaw_gain_s * (1.0 + _BRAKE_YAW * _too_fast(v, wanted)) * too_much
