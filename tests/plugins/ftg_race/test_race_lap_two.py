@@ -112,6 +112,17 @@ def test_it_comes_to_the_line_only_where_the_tyres_can_bring_it_there(
     assert joins or "of the grip to hold it" in lap.race.driven_by
 
 
+@pytest.mark.parametrize(("turned_rad", "brakes"), [(0.0, False), (0.12, False), (0.15, True)])
+def test_where_it_must_bend_back_hard_it_goes_no_faster_than_the_tyres_hold(turned_rad: float, brakes: bool) -> None:
+    lap = Lap()
+    for _ in range(5):
+        lap.step(speed_mps=7.0)
+    # off the motor first, then the brakes
+    told = [lap.step(speed_mps=7.0, yaw_rad=turned_rad).speed_mps for _ in range(3)]
+    assert lap.is_on
+    assert (told[-1] < 7.0) is brakes
+
+
 def test_it_comes_back_a_quarter_of_a_second_later() -> None:
     lap = Lap()
     for _ in range(4):

@@ -28,6 +28,8 @@ _PULL = 1.2
 """In so many times what a command takes to act, and no faster, the car can be brought back to its line."""
 _JOIN_GRIP, _GRIP = 0.85, 1.5
 """What coming back to the line may ask of the tyres; more is not there, and the car would run wide."""
+_HOLD = 0.95
+"""Of the grip: it drives no faster than this holds the curvature that is asked for."""
 _OVER = 1.12
 _OVER_MPS = 0.3
 """So much faster than the line allows where the car is now, it is left."""
@@ -96,7 +98,9 @@ class LinePlanner:
         stop = math.sqrt(2.0 * self._brake_mps2 * max(free - short, 0.0))
         if stop < _SLOWED * min(v, wanted):
             return f"free for {free:.1f} m only"
-        wanted = min(wanted, stop)
+        # coming back takes more curvature than the line: no faster than the tyres can hold that
+        hold = math.sqrt(_HOLD * self._grip_mps2 / max(abs(asked), 1e-3))
+        wanted = min(wanted, stop, hold)
         curvature = planner.within_grip(asked, v, wanted)
         near_m = _ARC_M + _ARC_S * max(v, 0.0)
         reach_m = near_m + self._outline.front_m + self._outline.half_width_m
