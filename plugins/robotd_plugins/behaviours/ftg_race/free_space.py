@@ -55,7 +55,7 @@ class FreeSpace:
         for its bin, `bin_rad` wide. near_m: what is beside a car inside its margin is so near; no more is asked of
         returns within reach then, and R is asked again of those farther on: a way out of the margin, not a full stop.
         """
-        r = np.hypot(x_m, y_m)
+        r = np.sqrt(x_m * x_m + y_m * y_m)
         at = np.arctan2(y_m, x_m)
         at *= _PER_RAD
         reach = np.minimum(reach_m, _ALMOST * r) * is_hit

@@ -55,6 +55,7 @@ class TrackLine:
             np.concatenate((a, a)) for a in (track.x_m, track.y_m, track.curvature_pm, speed)
         )
         self._yaw = np.unwrap(np.concatenate((track.yaw_rad, track.yaw_rad)))
+        self._sin, self._cos = np.sin(self._yaw), np.cos(self._yaw)
 
     def place(self, x_m: float, y_m: float, course_rad: float) -> Place:
         """The nearest place on the line, linear between its points."""
@@ -93,7 +94,8 @@ class TrackLine:
         count = min(max(int(way_m / self.step_m), 2), self._n)
         at = first % self._n
         way: Float64s = np.arange(first, first + count, dtype=np.float64) * self.step_m - place.s_m
-        x, y, yaw, kappa = (a[at : at + count] for a in (self._x, self._y, self._yaw, self._kappa))
+        part = slice(at, at + count)
+        yaw = self._yaw[part]
         aside = abs(place.aside_m)
         even_m = max(aside / most_m - 1.0, 0.0) * back_m
         off = min(aside, most_m) * np.exp(np.minimum(even_m - way, 0.0) / back_m)
@@ -106,10 +108,11 @@ class TrackLine:
         x0 = self._between(self._x, place.s_m) - place.aside_m * math.sin(here)
         y0 = self._between(self._y, place.s_m) + place.aside_m * math.cos(here)
         cos, sin = math.cos(course), math.sin(course)
-        x, y = x - off * np.sin(yaw) - x0, y + off * np.cos(yaw) - y0
+        x = self._x[part] - off * self._sin[part] - x0
+        y = self._y[part] + off * self._cos[part] - y0
         # the yaw of the line runs on where it has gone once round
         turned = yaw - (course + math.tau * round((float(yaw[0]) - course) / math.tau))
-        return Ahead(way, cos * x + sin * y, cos * y - sin * x, turned, kappa)
+        return Ahead(way, cos * x + sin * y, cos * y - sin * x, turned, self._kappa[part])
 
     def _between(self, values: Float64s, s_m: float) -> float:
         at, share = divmod(s_m / self.step_m, 1.0)

@@ -148,7 +148,8 @@ class LinePlanner:
         reach_m = self._body.half_width_m + config.line_clear_m
         profile = self._space.profile(x, y, scan.state != FREE, reach_m, config.reach_m, scan.step_rad)
         index = np.rint(np.arctan2(ahead.y_m, ahead.x_m) * (1.0 / STEP_RAD)).astype(np.intp)
-        blocked = profile.take(index + HALF, mode="clip") <= np.hypot(ahead.x_m, ahead.y_m)
+        seen = profile.take(index + HALF, mode="clip")
+        blocked = seen * seen <= ahead.x_m * ahead.x_m + ahead.y_m * ahead.y_m
         blocked |= np.abs(index) > HALF
         first = int(blocked.argmax())
         return float(ahead.way_m[first]) if blocked[first] else config.reach_m
@@ -170,8 +171,15 @@ class LinePlanner:
         cos, sin = np.cos(heading), np.sin(heading)
         px, py = ahead.x_m.take(tight), ahead.y_m.take(tight)
         # returns (2, n) as each place of the car (k, 2, 2) sees them
-        seen: Float64s = np.array(((cos, -sin), (sin, cos))).T @ np.stack((x.take(close), y.take(close)))
-        seen -= np.stack((cos * px + sin * py, cos * py - sin * px), axis=1)[:, :, None]
+        turn, points = np.empty((len(tight), 2, 2)), np.empty((2, len(close)))
+        turn[:, 0, 0] = turn[:, 1, 1] = cos
+        turn[:, 0, 1] = sin
+        np.negative(sin, out=turn[:, 1, 0])
+        x.take(close, out=points[0])
+        y.take(close, out=points[1])
+        seen: Float64s = turn @ points
+        seen[:, 0] -= (cos * px + sin * py)[:, None]
+        seen[:, 1] -= (cos * py - sin * px)[:, None]
         np.abs(seen, out=seen)
         outline = self._outline
         touched = seen[:, 0] < (outline.front_m - outline.rear_m) / 2.0
