@@ -111,12 +111,12 @@ class OnLine(Behaving):
         return True
 
 
-@pytest.mark.parametrize(("stands", "blocks"), [(False, True), (True, False)])
-def test_after_a_lap_a_box_is_in_the_way(stands: bool, blocks: bool) -> None:
+@pytest.mark.parametrize(("seed", "stands", "blocks"), [(5, False, True), (1, True, False)])
+def test_after_a_lap_a_box_is_in_the_way(seed: int, stands: bool, blocks: bool) -> None:
     here = Ground(procedural(3))
     conditions = Conditions(rate_hz=20.0, beams=361)
     race, driver = Race(here, F1TENTH, conditions), OnLine()
-    watch = Watch(race, driver, random.Random(5), stands, blocks)
+    watch = Watch(race, driver, random.Random(seed), stands, blocks)
     put_s: list[float] = []
 
     def step(now_s: float, pose: tuple[float, float, float], track: Any) -> None:
