@@ -165,7 +165,7 @@ class FtgRaceConfig(Config):
     """Backwards, no farther at a time."""
     reverse_blind_m: float = Field(default=0.4, ge=0.0, le=5.0)
     """And no farther than this where no beam sees what is behind."""
-    retries: int = Field(default=6, ge=1, le=50)
+    retries: int = Field(default=10, ge=1, le=50)
     """So often in one place, then the goal has failed."""
 
     @model_validator(mode="before")
