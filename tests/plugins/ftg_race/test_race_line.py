@@ -104,6 +104,8 @@ def test_no_speed_asks_for_more_than_tyres_motor_and_brakes_have(
     slower = np.minimum(v, np.roll(v, -1))
     left = np.array([limits.along_mps2(float(a)) for a in slower * slower * bend])
     assert (along <= np.minimum(left, accel) + 1e-6).all()
+    rows = zip((slower * slower * bend).tolist(), slower.tolist(), strict=True)
+    left = np.array([limits.braking_mps2(a, at) for a, at in rows])
     assert (-along <= np.minimum(left, brake) + 1e-6).all()
 
 
@@ -112,6 +114,10 @@ def test_pedals_have_less_the_more_the_bend_takes() -> None:
     assert left == sorted(left, reverse=True)
     assert left[0] == pytest.approx(9.0) and left[3:] == [0.0, 0.0]
     assert LIMITS.along_mps2(-6.0) == left[2]
+    # into a bend, the less the faster the car is
+    into = [LIMITS.braking_mps2(6.0, v) for v in (2.0, 4.0, 6.0, 8.0, 20.0)]
+    assert into == sorted(into, reverse=True) and into[-1] > 0.0
+    assert LIMITS.braking_mps2(0.0, 8.0) == pytest.approx(9.0)
 
 
 @given(st.floats(0.0, 110.0), st.floats(-0.4, 0.4), st.floats(-0.6, 0.6))

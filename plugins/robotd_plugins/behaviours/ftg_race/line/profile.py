@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,10 @@ _SHAPE = 1.3
 """Of the limit that bends and pedals share: 2 is a circle, 1 a diamond. Speeding up unloads the axle that steers, and
 braking the other one, so that a short car with a high centre of mass stays well inside the circle: fitted to
 sqrt(g^2 - a^2) (1 - 0.045 a), which is the f1tenth car's.
+"""
+_BRAKE_SHAPE, _BRAKE_SHAPE_PER_MPS, _LEAST_SHAPE = 1.4, 0.045, 0.9
+"""The same while braking into a bend, less the faster the car is: the tyres' slip then takes longer to build up, and a
+car that still brakes hard runs wide. Found on AUT, both ways round.
 """
 
 
@@ -32,8 +37,15 @@ class LineLimits:
 
     def along_mps2(self, lateral_mps2: float) -> float:
         """What the tyres have left for motor or brakes in a bend."""
+        return self._left_mps2(lateral_mps2, _SHAPE)
+
+    def braking_mps2(self, lateral_mps2: float, speed_mps: float) -> float:
+        """What they have left for braking into a bend."""
+        return self._left_mps2(lateral_mps2, max(_BRAKE_SHAPE - _BRAKE_SHAPE_PER_MPS * speed_mps, _LEAST_SHAPE))
+
+    def _left_mps2(self, lateral_mps2: float, shape: float) -> float:
         share = abs(lateral_mps2) / self.grip_mps2
-        return float(self.grip_mps2 * (1.0 - share**_SHAPE) ** (1.0 / _SHAPE)) if share < 1.0 else 0.0
+        return float(self.grip_mps2 * (1.0 - share**shape) ** (1.0 / shape)) if share < 1.0 else 0.0
 
 
 def speeds_mps(curvature_pm: Float64s, step_m: float, limits: LineLimits) -> Float64s:
@@ -46,11 +58,15 @@ def speeds_mps(curvature_pm: Float64s, step_m: float, limits: LineLimits) -> Flo
     # from the slowest point, which neither pass changes
     first = int(np.argmin(cap2))
     order = [(first + k) % n for k in range(n + 1)]
-    for way, most in ((order[::-1], limits.brake_mps2), (order, limits.accel_mps2)):
+    for way, is_back in ((order[::-1], True), (order, False)):
         at = way[0]
         for to in way[1:]:
             if v2[at] < v2[to]:
-                along = min(most, limits.along_mps2(v2[at] * max(bend[at], bend[to])))
+                lateral = v2[at] * max(bend[at], bend[to])
+                if is_back:
+                    along = min(limits.brake_mps2, limits.braking_mps2(lateral, math.sqrt(v2[at])))
+                else:
+                    along = min(limits.accel_mps2, limits.along_mps2(lateral))
                 v2[to] = min(v2[to], v2[at] + 2.0 * step_m * along)
             at = to
     speed: Float64s = np.sqrt(np.array(v2))
