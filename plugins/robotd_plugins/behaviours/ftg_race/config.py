@@ -137,7 +137,7 @@ class FtgRaceConfig(Config):
     learn: bool = True
     """From lap 2 on it follows the line that the perceptor `race_track` learned, while `track_position` is sure."""
     line_lateral_share: float = Field(default=0.78, gt=0.0, le=1.0)
-    """Of the grip is planned with in bends of the learned line; what bounds it is known, so more than else."""
+    """Of the grip is planned with in bends of the learned line."""
     line_brake_share: float = Field(default=0.75, gt=0.0, le=1.0)
     """Of it for braking on the line."""
     line_accel_share: float = Field(default=0.85, gt=0.0, le=1.0)
